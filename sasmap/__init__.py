@@ -1,0 +1,9 @@
+"""Sand-ripple geometry and sediment maps, with error bars, from synthetic aperture sonar tiles."""
+
+from sasmap import ripples
+from sasmap.config import load_survey
+from sasmap.survey import open_pass
+
+__version__ = "0.1.0"
+
+__all__ = ["load_survey", "open_pass", "ripples"]

@@ -1,0 +1,227 @@
+"""survey.yaml as a frozen model, and every message a user can get about it."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+import pyproj
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import ErrorDetails
+
+from sasmap.errors import InputError
+from sasmap.ripples.settings import RippleSettings
+from sasmap.yamlfile import load_yaml
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class _Block(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PassSettings(_Block):
+    """One pass of the sonar: its tiles, its navigation, and how it looked."""
+
+    name: Name
+    tiles: Annotated[tuple[Name, ...], Field(min_length=1)] = Field(
+        description="globs relative to the survey file; single-band amplitude GeoTIFFs"
+    )
+    navigation: Name = Field(
+        description="CSV: altitude and either longitude, latitude or x, y; one row a ping"
+    )
+    navigation_crs: str | None = Field(
+        None, description="CRS of the navigation; default WGS 84 for longitude, latitude, "
+        "the first tile's for x, y"
+    )
+    side: Literal["port", "starboard", "both"]
+    range: Literal["ground", "slant"] = Field(
+        "ground", description="what the tiles' across-track axis is"
+    )
+
+    @field_validator("navigation_crs")
+    @classmethod
+    def _known_crs(cls, value: str | None) -> str | None:
+        return _check_crs(value)
+
+
+class ClassSettings(_Block):
+    """A sediment class with the polygons that show it."""
+
+    name: Name
+    training: Name = Field(description="GeoJSON or GeoPackage of polygons")
+
+
+class SedimentSettings(_Block):
+    """Settings of the sediment map."""
+
+    classes: (
+        Literal["auto"]
+        | Annotated[int, Field(ge=1, le=250)]
+        | Annotated[tuple[ClassSettings, ...], Field(min_length=1)]
+    ) = Field("auto", description="auto, a number, or a list of named classes with training")
+
+
+class Survey(_Block):
+    """A survey: what to map, from which passes, into which folder."""
+
+    name: Name
+    output: Name = Field("out", description="folder of the products, relative to the survey file")
+    crs: str | None = Field(None, description="CRS of the products; default the first tile's")
+    window: Annotated[int, Field(ge=3, le=10_000)] = Field(
+        500, description="pixels; a cell is window times the first tile's pixel size"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    passes: Annotated[tuple[PassSettings, ...], Field(min_length=1)]
+    ripples: RippleSettings | None = Field(None, description="no block: no ripple products")
+    sediments: SedimentSettings | None = Field(None, description="no block: no sediment products")
+
+    _path: Path = PrivateAttr(default_factory=lambda: Path("survey.yaml"))
+
+    @field_validator("crs")
+    @classmethod
+    def _known_crs(cls, value: str | None) -> str | None:
+        return _check_crs(value)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        names = [p.name for p in self.passes]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"passes: expected a name of its own for each, got {twice[0]!r} twice")
+        if self.ripples is None and self.sediments is None:
+            raise ValueError("nothing to compute: expected a ripples or a sediments block")
+        return self
+
+    @property
+    def path(self) -> Path:
+        """The survey file; relative paths in it start from its folder."""
+        return self._path
+
+    @property
+    def output_folder(self) -> Path:
+        """Folder of the products."""
+        return self.resolve(self.output)
+
+    def resolve(self, path: str) -> Path:
+        """Return a path of the survey file, relative ones from the file's own folder."""
+        return self._path.parent / path
+
+    def find_pass(self, name: str) -> PassSettings:
+        """Return the settings of a pass by its name.
+
+        Raises
+        ------
+        InputError
+            Where the survey has no pass of that name.
+        """
+        for settings in self.passes:
+            if settings.name == name:
+                return settings
+        known = ", ".join(p.name for p in self.passes)
+        raise InputError(f"{self._path}: passes: no pass named {name!r}; there are: {known}")
+
+
+def load_survey(path: str | Path) -> Survey:
+    """Read and check a survey file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The survey file (INTERFACE "survey.yaml").
+
+    Returns
+    -------
+    Survey
+        Frozen settings; the files it names are not opened yet.
+
+    Raises
+    ------
+    InputError
+        With one line for every fault found, each naming file and key.
+    """
+    path = Path(path)
+    survey = parse_model(Survey, load_yaml(path), path)
+    survey._path = path
+    return survey
+
+
+def parse_model(model: type[Model], content: dict[str, Any], path: Path) -> Model:
+    """Validate a file's content against a model; every fault becomes one line."""
+    try:
+        return model.model_validate(content, strict=False)
+    except ValidationError as error:
+        raise InputError(fault_lines(model, error, path)) from None
+
+
+def fault_lines(model: type[BaseModel], error: ValidationError, path: Path) -> list[str]:
+    """Turn pydantic's errors into lines ``file: key: what was expected``."""
+    lines = []
+    for detail in error.errors(include_url=False):
+        key = _key(detail["loc"])
+        text = f"{path}: {key}: {_message(model, detail)}" if key else f"{path}: {_message(model, detail)}"
+        lines.append(" ".join(text.split()))
+    return list(dict.fromkeys(lines))
+
+
+def survey_schema() -> str:
+    """Return the JSON Schema of survey.yaml."""
+    return json.dumps(Survey.model_json_schema(), indent=2)
+
+
+def _check_crs(value: str | None) -> str | None:
+    if value is not None:
+        try:
+            pyproj.CRS.from_user_input(value)
+        except pyproj.exceptions.CRSError:
+            raise ValueError(f"expected a CRS such as EPSG:32617, got {value!r}") from None
+    return value
+
+
+def _key(location: tuple[int | str, ...]) -> str:
+    key = ""
+    for part in location:
+        if isinstance(part, int):
+            key += f"[{part}]"
+        elif "[" not in part and "-" not in part and part not in ("int", "str"):
+            key += f".{part}" if key else part
+    return key
+
+
+def _message(model: type[BaseModel], detail: ErrorDetails) -> str:
+    kind, given = detail["type"], detail.get("input")
+    if kind == "extra_forbidden":
+        name = str(detail["loc"][-1])
+        close = difflib.get_close_matches(name, _known_keys(model), n=1)
+        return "unknown key" + (f"; did you mean '{close[0]}'?" if close else "")
+    if kind == "missing":
+        return "missing; this key is required"
+    message = detail["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
+        return message
+    return f"{message[0].lower()}{message[1:]}, got {_short(given)}"
+
+
+def _known_keys(model: type[BaseModel]) -> list[str]:
+    schema = model.model_json_schema()
+    blocks = [schema, *schema.get("$defs", {}).values()]
+    return sorted({key for block in blocks for key in block.get("properties", {})})
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

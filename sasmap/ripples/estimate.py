@@ -1,0 +1,136 @@
+"""One clip to its posterior: is it needed at all, start, sample, judge."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from sasmap.ripples.clip import BinnedClip, Clip, bin_clip, mean_look
+from sasmap.ripples.likelihood import Prior, speckle_data
+from sasmap.ripples.posterior import Posterior, Quality, converged, dataset
+from sasmap.ripples.presence import ripple_peaks, spectrum
+from sasmap.ripples.published import sample_published
+from sasmap.ripples.sampler import learn_proposal, metropolis
+from sasmap.ripples.settings import RippleSettings
+from sasmap.ripples.starts import cooled_population
+
+MIN_PIXELS = 400
+ROUND = 250
+
+
+def estimate(
+    clip: Clip | xr.DataArray,
+    settings: RippleSettings | None = None,
+    *,
+    rng: np.random.Generator | int | None = None,
+    prior: Prior | None = None,
+) -> Posterior:
+    """Estimate ripple frequency f and height A_H from one clip.
+
+    Parameters
+    ----------
+    clip : Clip or DataArray (y, x)
+        Linear amplitudes with ``x``, ``y``, ``ground_range``, ``altitude`` (m) and
+        ``look_azimuth`` (degrees) coordinates, as :func:`sasmap.open_pass` gives them.
+    settings : RippleSettings, optional
+        The survey's ``ripples`` block.
+    rng : Generator or int, optional
+        Source of randomness or its seed; the same seed gives the same posterior to the bit.
+    prior : Prior, optional
+        Of (f, A_H); flat within the settings' bounds if not given.
+
+    Returns
+    -------
+    Posterior
+        Its quality says whether there are draws, and whether they converged.
+
+    Raises
+    ------
+    ValueError
+        Where a coordinate is missing.
+
+    Notes
+    -----
+    Crests are taken as straight and looked at square-on. The default method samples the speckle likelihood of
+    :mod:`sasmap.ripples.likelihood`; "zare-cobb" is the published sampler (Zare and Cobb 2013).
+    """
+    settings = settings or RippleSettings()
+    rng = np.random.default_rng(rng)
+    if isinstance(clip, xr.DataArray):
+        clip = Clip.from_array(clip)
+    prior = prior or Prior.flat(settings.frequency, settings.height)
+    valid = clip.valid
+    if valid.sum() < MIN_PIXELS:
+        return Posterior(Quality.TOO_FEW_PIXELS, prior)
+    if np.ptp(clip.amplitude[valid]) == 0:
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=("sampling: all pixels are equal",))
+    if settings.method == "zare-cobb":
+        return _published(clip, settings, prior, rng)
+    return _default(clip, settings, prior, rng)
+
+
+def _default(
+    clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
+) -> Posterior:
+    binned = bin_clip(clip)
+    found = spectrum(binned, settings.frequency)
+    if found is None:
+        reason = "sampling: too few wavelengths in the clip or pixels in a wavelength"
+        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=(reason,))
+    peaks = ripple_peaks(found)
+    if not peaks.size:
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=("sampling: no ripples",))
+    shadow = settings.shadow if _can_cast_shadow(binned, prior) else "none"
+    data = speckle_data(binned.pooled(), shadow)
+    compiled = prior.compiled()
+    population = cooled_population(found, peaks, data, prior, rng)
+    proposal = learn_proposal(population.particles)
+    states = population.particles[rng.permutation(len(population.particles))[: settings.chains]]
+    rounds: list[np.ndarray] = []
+    accepted, kept, done = 0, 0, False
+    while kept < settings.draws and not done:
+        steps = min(ROUND, settings.draws - kept)
+        chains = [metropolis(state, steps, proposal, data, compiled, rng) for state in states]
+        states = np.array([chain.draws[-1] for chain in chains])
+        accepted += sum(chain.accepted for chain in chains)
+        kept += steps
+        rounds.append(np.stack([chain.draws for chain in chains]))
+        draws = np.concatenate(rounds, axis=1)
+        done = converged(draws[..., 0]) and converged(draws[..., 1])
+    draws[..., 2] %= 2 * np.pi
+    draws[..., 3] = np.exp(draws[..., 3])
+    left_out = ("orientation: taken as square-on", "phase field: crests taken as straight")
+    if shadow == "none":
+        left_out += ("shadow: none can fall within the height bounds",)
+    return Posterior(
+        Quality.GOOD if done else Quality.NOT_CONVERGED,
+        prior,
+        dataset(draws, ("frequency", "height", "phase", "noise")),
+        binned.azimuth % 180.0,
+        accepted / (kept * len(states)),
+        left_out,
+    )
+
+
+def _can_cast_shadow(binned: BinnedClip, prior: Prior) -> bool:
+    """Whether a slope within the bounds is steeper than the lowest grazing angle."""
+    ends = np.array([binned.start, -binned.start])
+    ground_range = binned.range0[:, None] + binned.range_slope[:, None] * ends
+    altitude = binned.altitude0[:, None] + binned.altitude_slope[:, None] * ends
+    steepest = 2 * np.pi * prior.bounds[0][1] * prior.bounds[1][1]
+    return bool(steepest >= (altitude / np.maximum(ground_range, 1e-9)).min())
+
+
+def _published(
+    clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
+) -> Posterior:
+    draws, acceptance = sample_published(clip, prior, settings.chains, settings.draws, rng)
+    done = converged(draws[..., 0]) and converged(draws[..., 1])
+    return Posterior(
+        Quality.GOOD if done else Quality.NOT_CONVERGED,
+        prior,
+        dataset(draws, ("frequency", "height")),
+        mean_look(clip) % 180.0,
+        acceptance,
+        ("presence test: the published method has none",),
+    )

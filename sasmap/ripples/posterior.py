@@ -1,0 +1,136 @@
+"""What a clip says about its ripples: draws, their summary, and how far to trust them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sasmap.ripples import diagnostics
+from sasmap.ripples.likelihood import Prior
+
+FloatArray = NDArray[np.float64]
+
+MAX_RHAT = 1.01
+MIN_ESS = 400.0
+QUANTILES = (0.05, 0.5, 0.95)
+JUDGED = ("frequency", "height")
+
+
+class Quality(IntEnum):
+    """Quality of a cell (INTERFACE "Products")."""
+
+    NO_DATA = 0
+    GOOD = 1
+    NO_RIPPLES = 2
+    NOT_CONVERGED = 3
+    CONTRADICTION = 4
+    NOT_IDENTIFIABLE = 5
+    TOO_FEW_PIXELS = 6
+    FAILED = 7
+
+    @property
+    def label(self) -> str:
+        """Name as people read it."""
+        return _LABELS[self]
+
+
+_LABELS = {
+    Quality.NO_DATA: "no data",
+    Quality.GOOD: "good",
+    Quality.NO_RIPPLES: "no ripples",
+    Quality.NOT_CONVERGED: "not converged",
+    Quality.CONTRADICTION: "passes contradict each other",
+    Quality.NOT_IDENTIFIABLE: "not identifiable",
+    Quality.TOO_FEW_PIXELS: "too few valid pixels",
+    Quality.FAILED: "failed",
+}
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Posterior of one clip.
+
+    Attributes
+    ----------
+    quality : Quality
+        GOOD, NO_RIPPLES, NOT_CONVERGED, NOT_IDENTIFIABLE or TOO_FEW_PIXELS.
+    prior : Prior
+        Of (f, A_H), as used.
+    draws : Dataset (chain, draw)
+        ``frequency`` (cycles/m), ``height`` (A_H, m), ``phase`` (rad, at the clip's centre) and
+        ``noise`` (floor over the flat sea floor's intensity); without draws where no ripple was
+        sampled.
+    azimuth : float
+        Crest normal, degrees clockwise from grid north, 0 to 180; NaN without ripples.
+    acceptance : float
+        Accepted fraction of the kept steps.
+    left_out : tuple of str
+        What the clip did not need.
+    """
+
+    quality: Quality
+    prior: Prior
+    draws: xr.Dataset = field(default_factory=xr.Dataset)
+    azimuth: float = float("nan")
+    acceptance: float = float("nan")
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def sampled(self) -> bool:
+        """Whether there are draws."""
+        return bool(self.draws.sizes)
+
+    @property
+    def mean(self) -> xr.Dataset:
+        """Posterior means (of f, cycles/m, A_H, m, and the rest)."""
+        return self.draws.mean()
+
+    @property
+    def sd(self) -> xr.Dataset:
+        """Posterior standard deviations."""
+        return self.draws.std(ddof=1)
+
+    @property
+    def quantiles(self) -> xr.Dataset:
+        """Posterior quantiles 0.05, 0.5 and 0.95 along ``quantile``."""
+        return self.draws.quantile(QUANTILES)
+
+    @property
+    def rhat(self) -> dict[str, float]:
+        """Rank-normalised split R-hat of f and A_H."""
+        return {name: diagnostics.rhat(self.draws[name].values) for name in JUDGED}
+
+    @property
+    def ess_bulk(self) -> dict[str, float]:
+        """Bulk effective sample size of f and A_H."""
+        return {name: diagnostics.ess_bulk(self.draws[name].values) for name in JUDGED}
+
+    @property
+    def ess_tail(self) -> dict[str, float]:
+        """Tail effective sample size of f and A_H."""
+        return {name: diagnostics.ess_tail(self.draws[name].values) for name in JUDGED}
+
+
+def converged(draws: FloatArray) -> bool:
+    """Whether draws (chain, draw) reach R-hat <= 1.01 and bulk and tail ESS >= 400."""
+    return (
+        diagnostics.rhat(draws) <= MAX_RHAT
+        and diagnostics.ess_bulk(draws) >= MIN_ESS
+        and diagnostics.ess_tail(draws) >= MIN_ESS
+    )
+
+
+def dataset(draws: FloatArray, names: tuple[str, ...]) -> xr.Dataset:
+    """Label draws (chain, draw, parameter)."""
+    units = {"frequency": "cycles/m", "height": "m", "phase": "rad", "noise": "1"}
+    return xr.Dataset(
+        {
+            name: (("chain", "draw"), draws[..., i], {"units": units[name]})
+            for i, name in enumerate(names)
+        },
+        coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
+    )

@@ -1,0 +1,172 @@
+"""The published sampler, as published (ZC 3 and Algorithm 1; SCIENCE 3 "The published method").
+
+Median-filtered and normalised amplitudes, a Gaussian likelihood of variance 1 about the raw a*,
+phase zero at the track, the crest rule for shadow. Kept because it is published and for comparison;
+its failures belong to it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from sasmap.ripples.clip import Clip, bin_clip
+from sasmap.ripples.likelihood import Prior, PriorData
+from sasmap.ripples.scattering import SIGMA_VARIANCE
+
+FloatArray = NDArray[np.float64]
+
+FILTER = 5
+NARROW_WEIGHT = 0.7
+# Variances of the proposal's two Gaussians, for f and A_H alike (ZC 3.2.3).
+NARROW_VARIANCE, WIDE_VARIANCE = 0.01, 0.1
+
+
+class PublishedData(NamedTuple):
+    """Sufficient statistics of the Gaussian likelihood, one value a range bin."""
+
+    count: FloatArray
+    mean: FloatArray
+    ground_range: FloatArray
+    altitude: FloatArray
+
+
+def normalise(clip: Clip) -> FloatArray:
+    """Filter and scale a clip's amplitudes as published.
+
+    Parameters
+    ----------
+    clip : Clip
+
+    Returns
+    -------
+    ndarray (rows, columns)
+        Median filtered over 5 x 5 pixels, less its mean, over its maximum before the mean was
+        taken off (SCIENCE 3); NaN outside the valid pixels.
+    """
+    valid = clip.valid
+    middle = float(np.median(clip.amplitude[valid]))
+    smooth = median_filter(np.where(valid, clip.amplitude, middle), size=FILTER, mode="reflect")
+    largest = smooth[valid].max()
+    scaled = (smooth - smooth[valid].mean()) / (largest if largest > 0 else 1.0)
+    return np.asarray(np.where(valid, scaled, np.nan))
+
+
+def reduce(clip: Clip, image: FloatArray) -> PublishedData:
+    """Average a normalised clip over range bins: the Gaussian likelihood needs no more."""
+    binned = bin_clip(clip, image)
+    weight = binned.count
+    count = weight.sum(axis=0)
+    used = count > 0
+    u = binned.centres
+
+    def mean_of(level: FloatArray, slope: FloatArray) -> FloatArray:
+        field = level[:, None] + slope[:, None] * u
+        return np.asarray(((weight * field).sum(axis=0))[used] / count[used])
+
+    return PublishedData(
+        count[used],
+        binned.total.sum(axis=0)[used] / count[used],
+        mean_of(binned.range0, binned.range_slope),
+        mean_of(binned.altitude0, binned.altitude_slope),
+    )
+
+
+def initial(data: PublishedData, image: FloatArray, prior: PriorData) -> FloatArray:
+    """Start f at the FFT's peak of the cross-range mean and A_H at the clip's RMS."""
+    step = float(np.median(np.diff(data.ground_range)))
+    power = np.abs(np.fft.rfft(data.mean - data.mean.mean()))
+    frequency = np.fft.rfftfreq(data.mean.size, step)
+    peak = frequency[1 + int(np.argmax(power[1:]))]
+    rms = np.sqrt(np.nanmean(image**2))
+    return np.clip(np.array([peak, rms]), prior.lower, prior.upper)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def published_amplitude(frequency, height, data):  # type: ignore[no-untyped-def]
+    """Raw a* of each range bin (ZC 3 and 4), phase zero at the track."""
+    norm = 1.0 / np.sqrt(2.0 * np.pi * SIGMA_VARIANCE)
+    wave = 2.0 * np.pi * frequency
+    tilt = np.arctan(wave * height)
+    result = np.zeros(data.mean.size)
+    for i in range(result.size):
+        r, altitude = data.ground_range[i], data.altitude[i]
+        phase = wave * r
+        if frequency > 0.0:
+            d = ((phase - 0.5 * np.pi) % (2.0 * np.pi)) / wave
+            if 0.0 < d < r and height - altitude * d / (r - d) >= height * np.sin(phase):
+                continue
+        offset = np.arctan2(altitude, r) - 0.5 * np.pi
+        flat = np.exp(-(offset**2) / (2 * SIGMA_VARIANCE))
+        above = np.exp(-((offset + tilt) ** 2) / (2 * SIGMA_VARIANCE))
+        below = np.exp(-((offset - tilt) ** 2) / (2 * SIGMA_VARIANCE))
+        result[i] = norm * (flat + 0.5 * (above - below) * np.cos(phase))
+    return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def published_log_posterior(theta, data, prior):  # type: ignore[no-untyped-def]
+    """Log of ZC 12 and 15 up to a constant: Gaussian of variance 1, truncated Gaussian priors."""
+    value = 0.0
+    for i in range(2):
+        if not (prior.lower[i] <= theta[i] <= prior.upper[i]):
+            return -np.inf
+        value -= 0.5 * prior.precision[i, i] * (theta[i] - prior.mean[i]) ** 2
+    model = published_amplitude(theta[0], theta[1], data)
+    for i in range(model.size):
+        value -= 0.5 * data.count[i] * (data.mean[i] - model[i]) ** 2
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def algorithm_one(start, data, prior, rng, draws):  # type: ignore[no-untyped-def]
+    """Fill draws (n, 2) with ZC's Algorithm 1: f, then A_H, each by a two-Gaussian walk."""
+    theta = start.copy()
+    level = published_log_posterior(theta, data, prior)
+    proposed = np.empty(2)
+    accepted = 0
+    for step in range(draws.shape[0]):
+        for i in range(2):
+            variance = NARROW_VARIANCE if rng.random() < NARROW_WEIGHT else WIDE_VARIANCE
+            proposed[:] = theta
+            proposed[i] += np.sqrt(variance) * rng.normal()
+            candidate = published_log_posterior(proposed, data, prior)
+            if np.log(rng.random()) < candidate - level:
+                theta[:] = proposed
+                level = candidate
+                accepted += 1
+        draws[step] = theta
+    return accepted
+
+
+def sample_published(
+    clip: Clip, prior: Prior, chains: int, steps: int, rng: np.random.Generator
+) -> tuple[FloatArray, float]:
+    """Run the published sampler on a clip.
+
+    Parameters
+    ----------
+    clip : Clip
+    prior : Prior
+    chains : int
+        Runs of Algorithm 1, all from the published start.
+    steps : int
+        Kept iterations; as many more are discarded first.
+    rng : Generator
+
+    Returns
+    -------
+    draws : ndarray (chains, steps, 2)
+        f (cycles/m) and A_H (m).
+    acceptance : float
+    """
+    image = normalise(clip)
+    data, compiled = reduce(clip, image), prior.compiled()
+    start = initial(data, image, compiled)
+    draws = np.empty((chains, 2 * steps, 2))
+    accepted = sum(algorithm_one(start, data, compiled, rng, chain) for chain in draws)
+    return draws[:, steps:], accepted / (4.0 * chains * steps)

@@ -1,0 +1,44 @@
+"""What a ripple estimate can be told: the ``ripples`` block of a survey file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+Bounds = tuple[FiniteFloat, FiniteFloat]
+
+
+class RippleSettings(BaseModel):
+    """Settings of a ripple estimate, with defaults that suit most surveys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    method: Literal["default", "zare-cobb"] = Field(
+        "default", description="default, or zare-cobb (the published sampler)"
+    )
+    frequency: Bounds = Field(
+        (0.05, 5.0), description="truncation bounds of the prior of f, cycles/m"
+    )
+    height: Bounds = Field((0.0, 0.5), description="truncation bounds of the prior of A_H, m")
+    shadow: Literal["line-of-sight", "crest"] = Field(
+        "line-of-sight",
+        description="shadow rule; crest is the published one, always used by zare-cobb",
+    )
+    chains: Annotated[int, Field(ge=2, le=64)] = Field(
+        4, description="Markov chains per clip (default method)"
+    )
+    draws: Annotated[int, Field(ge=100, le=1_000_000)] = Field(
+        4000,
+        description="largest number of kept draws per chain; sampling stops early on convergence",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in ("frequency", "height"):
+            low, high = getattr(self, name)
+            if low < 0 or high <= low:
+                raise ValueError(f"{name}: expected 0 <= lower < upper bound, got [{low}, {high}]")
+        if self.frequency[0] == 0 and self.method == "default":
+            raise ValueError("frequency: expected a lower bound above 0 cycles/m")
+        return self

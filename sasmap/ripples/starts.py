@@ -1,0 +1,217 @@
+"""Where chains start: a coarse scan that sees every mode, then a population cooled into them.
+
+With shadows the likelihood has cliffs and several modes, on which a local search sticks. So a population
+is brought from a nearly flat power of the likelihood to its full height by resampling and
+Metropolis-Hastings moves (sequential Monte Carlo; Del Moral, Doucet and Jasra 2006). It serves as burn-in:
+what is kept comes from the chains of :mod:`sasmap.ripples.sampler`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.likelihood import (
+    NOISE_BOUNDS,
+    Prior,
+    PriorData,
+    SpeckleData,
+    log_likelihood,
+    log_prior,
+)
+from sasmap.ripples.presence import Spectrum
+
+FloatArray = NDArray[np.float64]
+
+HEIGHTS = 14
+PHASES = 8
+NOISE = float(np.log(0.02))
+PARTICLES = 96
+# Moves per temperature, and the share of effective particles that sets the next temperature.
+MOVES = 4
+KEPT_SHARE = 0.5
+FIRST_SHARE = 0.3
+MAX_STAGES = 200
+
+
+class Population(NamedTuple):
+    """Weighted equally: particles (n, 4) and their log likelihood (n,)."""
+
+    particles: FloatArray
+    level: FloatArray
+
+
+def cooled_population(
+    found: Spectrum,
+    peaks: NDArray[np.int64],
+    data: SpeckleData,
+    prior: Prior,
+    rng: np.random.Generator,
+) -> Population:
+    """Draw an approximate sample of the posterior to start and tune chains from.
+
+    Parameters
+    ----------
+    found : Spectrum
+    peaks : ndarray of int
+        Candidate peaks of the spectrum, best first; at least one. Their halves and doubles are searched
+        too, since shadow can feed a harmonic more than the fundamental.
+    data : SpeckleData
+    prior : Prior
+    rng : Generator
+
+    Returns
+    -------
+    Population
+    """
+    compiled = prior.compiled()
+    frequencies, half_step = _frequencies(found, peaks, prior)
+    heights = _heights(prior.bounds[1])
+    phases = 2 * np.pi * np.arange(PHASES) / PHASES
+    table = np.empty((frequencies.size * heights.size * PHASES, 5))
+    _scan(frequencies, heights, phases, NOISE, data, compiled, table)
+    table = table[np.isfinite(table[:, 4])]
+    cold = _next_power(table[:, 4], 0.0, min(FIRST_SHARE, 30.0 / len(table)))
+    weight = np.exp(cold * (table[:, 4] - table[:, 4].max()))
+    chosen = _resample(weight, PARTICLES, rng)
+    particles = _jittered(table[chosen, :4], half_step, heights, compiled, rng)
+    level = np.array([log_likelihood(p, data) for p in particles])
+    return _cool(Population(particles, level), cold, data, compiled, rng)
+
+
+def _cool(
+    population: Population,
+    power: float,
+    data: SpeckleData,
+    prior: PriorData,
+    rng: np.random.Generator,
+) -> Population:
+    particles, level = population
+    scale = 1.0
+    for _ in range(MAX_STAGES):
+        factor = _spread(particles)
+        accepted = _move(particles, level, power, scale * factor, MOVES, data, prior, rng)
+        scale = float(np.clip(scale * np.exp(2 * (accepted - 0.3)), 1e-3, 2.0))
+        if power >= 1.0:
+            break
+        step = _next_power(level, power, KEPT_SHARE)
+        weight = np.exp((step - power) * (level - level.max()))
+        chosen = _resample(weight, len(particles), rng)
+        particles, level, power = particles[chosen], level[chosen], step
+    return Population(particles, level)
+
+
+def _frequencies(
+    found: Spectrum, peaks: NDArray[np.int64], prior: Prior
+) -> tuple[FloatArray, float]:
+    low, high = prior.bounds[0]
+    step = float(found.frequency[1] - found.frequency[0])
+    centres = [found.frequency[i] * factor for i in peaks for factor in (1.0, 0.5, 2.0)]
+    if np.isfinite(prior.sd[0]):
+        centres.append(prior.mean[0])
+    around = np.add.outer(centres, step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])).ravel()
+    return np.unique(np.clip(around, low, high)), step / 2
+
+
+def _heights(bounds: tuple[float, float]) -> FloatArray:
+    low, high = bounds
+    return np.geomspace(max(low, 2e-3 * high), high, HEIGHTS)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _scan(frequencies, heights, phases, noise, data, prior, table):  # type: ignore[no-untyped-def]
+    row = 0
+    theta = np.empty(4)
+    theta[3] = noise
+    for f in frequencies:
+        for height in heights:
+            for b in phases:
+                theta[0], theta[1], theta[2] = f, height, b
+                table[row, :4] = theta
+                table[row, 4] = log_likelihood(theta, data) + log_prior(theta, prior)
+                row += 1
+
+
+def _jittered(
+    grid: FloatArray,
+    half_step: float,
+    heights: FloatArray,
+    prior: PriorData,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Spread grid points over their cells of the scan."""
+    n = len(grid)
+    ratio = (heights[-1] / heights[0]) ** (0.5 / (heights.size - 1))
+    moved = grid.copy()
+    moved[:, 0] += half_step * rng.uniform(-1, 1, n)
+    moved[:, 1] *= ratio ** rng.uniform(-1, 1, n)
+    moved[:, 2] += np.pi / PHASES * rng.uniform(-1, 1, n)
+    moved[:, 3] += rng.normal(0, 1, n)
+    moved[:, :2] = np.clip(moved[:, :2], prior.lower, prior.upper)
+    moved[:, 3] = np.clip(moved[:, 3], *NOISE_BOUNDS)
+    return np.asarray(moved)
+
+
+def _next_power(level: FloatArray, power: float, share: float) -> float:
+    """Return the power of the likelihood that leaves this share of particles effective."""
+    centred = level - level.max()
+
+    def effective(step: float) -> float:
+        weight = np.exp(step * centred)
+        return float(weight.sum() ** 2 / (weight**2).sum() / level.size)
+
+    if effective(1.0 - power) >= share:
+        return 1.0
+    low, high = -40.0, np.log(1.0 - power)
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if effective(np.exp(middle)) > share else (low, middle)
+    return power + float(np.exp(low))
+
+
+def _resample(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Systematic resampling."""
+    edges = np.cumsum(weight) / weight.sum()
+    edges[-1] = 1.0
+    return np.searchsorted(edges, (np.arange(n) + rng.random()) / n)
+
+
+def _spread(particles: FloatArray) -> FloatArray:
+    """Cholesky factor of the particles' covariance, kept away from degeneracy."""
+    sd = np.maximum(particles.std(axis=0), 1e-12 * np.maximum(np.abs(particles).max(axis=0), 1e-6))
+    scaled = (particles - particles.mean(axis=0)) / sd
+    correlation = scaled.T @ scaled / len(particles) + 1e-6 * np.eye(particles.shape[1])
+    return np.asarray(sd[:, None] * np.linalg.cholesky(correlation))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _move(particles, level, power, factor, moves, data, prior, rng):  # type: ignore[no-untyped-def]
+    n, size = particles.shape
+    accepted = 0
+    proposed = np.empty(size)
+    normal = np.empty(size)
+    for k in range(n):
+        before = log_prior(particles[k], prior)
+        for _ in range(moves):
+            # steps of several sizes: one covariance does not fit all modes
+            scale = 1.2 * 10.0 ** (-1.5 * rng.random())
+            for i in range(size):
+                normal[i] = rng.normal()
+            for i in range(size):
+                proposed[i] = particles[k, i]
+                for j in range(i + 1):
+                    proposed[i] += scale * factor[i, j] * normal[j]
+            after = log_prior(proposed, prior)
+            if after == -np.inf:
+                continue
+            candidate = log_likelihood(proposed, data)
+            gain = power * (candidate - level[k]) + after - before
+            if np.log(rng.random()) < gain:
+                particles[k] = proposed
+                level[k] = candidate
+                before = after
+                accepted += 1
+    return accepted / (n * moves)

@@ -1,0 +1,5 @@
+"""Where pixels are and what saw them: tiles, navigation, the cell grid."""
+
+from sasmap.survey.passes import open_pass, open_survey
+
+__all__ = ["open_pass", "open_survey"]

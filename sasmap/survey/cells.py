@@ -1,0 +1,139 @@
+"""The grid of windows that every pass of a survey shares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pyproj
+from affine import Affine
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError
+from sasmap.survey.lattice import FloatArray
+from sasmap.survey.tiles import Tile
+
+MAX_STRETCH = 0.02
+
+
+class Cell(NamedTuple):
+    """A square of the grid by its row (from the top) and column (from the left)."""
+
+    row: int
+    column: int
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """Square cells from the upper-left corner of the union of all tiles.
+
+    Attributes
+    ----------
+    crs : str
+        Projected CRS in metres, as WKT.
+    left, top : float
+        Upper-left corner, m.
+    size : float
+        Side of a cell, m.
+    rows, columns : int
+    """
+
+    crs: str
+    left: float
+    top: float
+    size: float
+    rows: int
+    columns: int
+
+    @property
+    def transform(self) -> Affine:
+        """Affine of rasters with a pixel a cell."""
+        return Affine(self.size, 0.0, self.left, 0.0, -self.size, self.top)
+
+    def __iter__(self) -> Iterator[Cell]:
+        """Cells row by row."""
+        return (Cell(r, c) for r in range(self.rows) for c in range(self.columns))
+
+    def bounds(self, cell: Cell) -> tuple[float, float, float, float]:
+        """Return left, bottom, right, top of a cell, m."""
+        left, top = self.left + cell.column * self.size, self.top - cell.row * self.size
+        return left, top - self.size, left + self.size, top
+
+    def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+        """Whether map points lie in a cell; each point lies in exactly one cell."""
+        column = np.floor((x - self.left) / self.size + 1e-9)
+        row = np.floor((self.top - y) / self.size + 1e-9)
+        inside: NDArray[np.bool_] = (column == cell.column) & (row == cell.row)
+        return inside
+
+
+def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
+    """Lay the cell grid over all tiles of a survey.
+
+    Parameters
+    ----------
+    tiles : list of Tile
+        All passes' tiles; the first one's pixel size makes the cells.
+    crs : str
+        CRS of the grid, WKT.
+    window : int
+        Side of a cell in pixels of the first tile.
+
+    Returns
+    -------
+    CellGrid
+
+    Raises
+    ------
+    InputError
+        Where a tile cannot be brought into the CRS.
+    """
+    edges = []
+    for tile in tiles:
+        x, y = tile.outline_in(crs)
+        if not np.all(np.isfinite(x) & np.isfinite(y)):
+            raise InputError(f"{tile.path}: lies outside what the survey's CRS can hold")
+        edges.append((x.min(), x.max(), y.min(), y.max()))
+    west, east, south, north = np.array(edges).T
+    left, right, bottom, top = west.min(), east.max(), south.min(), north.max()
+    size = window * tiles[0].pixel_size
+    # a sliver of under a thousandth of a pixel is rounding, not a cell
+    slack = 1e-3 / window
+    columns = max(1, int(np.ceil((right - left) / size - slack)))
+    rows = max(1, int(np.ceil((top - bottom) / size - slack)))
+    return CellGrid(crs, float(left), float(top), size, rows, columns)
+
+
+def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
+    """Refuse a product CRS in which distances on the map are not metres on the ground.
+
+    Parameters
+    ----------
+    crs : pyproj.CRS
+    where : str
+        File and key that chose it, for the message.
+    x, y : float
+        A point of the survey in that CRS.
+
+    Raises
+    ------
+    InputError
+        For a geographic CRS, one in other units than metres, or one that stretches distances here by more
+        than 2 % (Web Mercator does).
+    """
+    advice = "choose a projected CRS in metres, such as the UTM zone of the survey"
+    if not crs.is_projected:
+        raise InputError(f"{where}: geographic CRS {crs.name!r}: {advice}")
+    if any(abs(axis.unit_conversion_factor - 1.0) > 1e-9 for axis in crs.axis_info[:2]):
+        raise InputError(f"{where}: CRS {crs.name!r} is in {crs.axis_info[0].unit_name}: {advice}")
+    longitude, latitude = pyproj.Proj(crs)(x, y, inverse=True)
+    if not (np.isfinite(longitude) and np.isfinite(latitude)):
+        raise InputError(f"{where}: the tiles lie outside what CRS {crs.name!r} can hold: {advice}")
+    factors = pyproj.Proj(crs).get_factors(longitude, latitude)
+    stretch = max(abs(factors.meridional_scale - 1), abs(factors.parallel_scale - 1))
+    if not stretch < MAX_STRETCH:
+        raise InputError(
+            f"{where}: CRS {crs.name!r} stretches distances by {stretch:.0%} here: {advice}"
+        )

@@ -1,0 +1,243 @@
+"""The sonar's track, and ground range, altitude and look azimuth of any map point."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError
+from sasmap.survey.lattice import transform_points
+
+FloatArray = NDArray[np.float64]
+
+WGS84 = "EPSG:4326"
+# Below this grazing angle nothing is seen: farther tiles belong to another track.
+MIN_GRAZING = np.radians(0.5)
+
+
+class Geometry(NamedTuple):
+    """How the sonar saw map points; NaN where it did not. All arrays have the points' shape.
+
+    Attributes
+    ----------
+    distance : ndarray
+        Horizontal distance from the track, m.
+    altitude : ndarray
+        Height of the sonar above the mean sea floor, m.
+    look_azimuth : ndarray
+        Direction from the track to the point, degrees clockwise from grid north.
+    starboard : ndarray of bool
+        Side of the track.
+    """
+
+    distance: FloatArray
+    altitude: FloatArray
+    look_azimuth: FloatArray
+    starboard: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Track:
+    """A sonar track as a polyline in map coordinates, one vertex a ping.
+
+    Attributes
+    ----------
+    x, y : ndarray (n,)
+        Easting and northing, m, in track order; no two successive ones coincide.
+    altitude : ndarray (n,)
+        Height above the mean sea floor, m, linear between vertices.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    altitude: FloatArray
+
+    def locate(self, x: FloatArray, y: FloatArray) -> Geometry:
+        """Find the track's nearest point (square-on look) for map points.
+
+        Parameters
+        ----------
+        x, y : ndarray
+            Map coordinates, m, of one shape. Neighbours in memory should be neighbours on the map.
+
+        Returns
+        -------
+        Geometry
+            NaN where the nearest point is an end of the track: no ping saw the point square-on.
+            The ends reach two ping spacings beyond the first and last ping.
+        """
+        shape = np.shape(x)
+        points = np.ascontiguousarray(x, float).ravel(), np.ascontiguousarray(y, float).ravel()
+        out = np.empty((3, points[0].size))
+        starboard = np.empty(points[0].size, np.bool_)
+        _locate(*points, *self._extended(), out, starboard)
+        distance, altitude, azimuth = (row.reshape(shape) for row in out)
+        return Geometry(distance, altitude, azimuth, starboard.reshape(shape))
+
+    def _extended(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        step = np.hypot(np.diff(self.x), np.diff(self.y))
+        reach = 2 * float(np.median(step))
+        first = reach / step[0]
+        last = reach / step[-1]
+        ends = []
+        for v in (self.x, self.y):
+            ends.append(
+                np.concatenate([[v[0] - first * (v[1] - v[0])], v, [v[-1] + last * (v[-1] - v[-2])]])
+            )
+        altitude = np.concatenate([self.altitude[:1], self.altitude, self.altitude[-1:]])
+        return ends[0], ends[1], altitude
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _locate(px, py, tx, ty, altitude, out, starboard):  # type: ignore[no-untyped-def]
+    """Exact nearest point on a polyline; runs of points share a pruned list of segments."""
+    n, segments = px.size, tx.size - 1
+    run = 64
+    near = np.empty(segments, np.int64)
+    for start in range(0, n, run):
+        stop = min(start + run, n)
+        cx, cy = px[start], py[start]
+        radius = 0.0
+        for i in range(start, stop):
+            radius = max(radius, np.hypot(px[i] - cx, py[i] - cy))
+        best = np.inf
+        for s in range(segments):
+            d, _ = _segment_distance(cx, cy, tx, ty, s)
+            best = min(best, d)
+        count = 0
+        for s in range(segments):
+            d, _ = _segment_distance(cx, cy, tx, ty, s)
+            if d <= best + 2.0 * radius + 1e-9:
+                near[count] = s
+                count += 1
+        for i in range(start, stop):
+            _nearest(i, px[i], py[i], tx, ty, altitude, near[:count], out, starboard)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _segment_distance(x, y, tx, ty, s):  # type: ignore[no-untyped-def]
+    dx, dy = tx[s + 1] - tx[s], ty[s + 1] - ty[s]
+    t = ((x - tx[s]) * dx + (y - ty[s]) * dy) / (dx * dx + dy * dy)
+    t = min(max(t, 0.0), 1.0)
+    return np.hypot(x - tx[s] - t * dx, y - ty[s] - t * dy), t
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(i, x, y, tx, ty, altitude, near, out, starboard):  # type: ignore[no-untyped-def]
+    best, at, along = np.inf, -1, 0.0
+    for s in near:
+        d, t = _segment_distance(x, y, tx, ty, s)
+        if d < best:
+            best, at, along = d, s, t
+    if at < 0 or (at == 0 and along <= 0.0) or (at == tx.size - 2 and along >= 1.0):
+        out[0, i] = out[1, i] = out[2, i] = np.nan
+        starboard[i] = False
+        return
+    dx, dy = tx[at + 1] - tx[at], ty[at + 1] - ty[at]
+    ex, ey = x - tx[at] - along * dx, y - ty[at] - along * dy
+    starboard[i] = dx * ey - dy * ex < 0.0
+    if best < 1e-9:  # on the track itself: the beam's direction
+        ex, ey = (dy, -dx) if starboard[i] else (-dy, dx)
+    out[0, i] = best
+    out[1, i] = altitude[at] + along * (altitude[at + 1] - altitude[at])
+    out[2, i] = np.degrees(np.arctan2(ex, ey)) % 360.0
+
+
+def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | None) -> Track:
+    """Read a navigation CSV into a track in map coordinates.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with a header; columns altitude and either longitude, latitude or x, y; others are
+        ignored. One row a ping, in track order.
+    crs : str
+        CRS of the track wanted.
+    tile_crs : str
+        CRS of x, y where `navigation_crs` is None.
+    navigation_crs : str or None
+        CRS of the file's positions.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    InputError
+        Where the file, a column, or a number is missing or impossible; names the row.
+    """
+    rows = _read_rows(path)
+    header = [name.strip().lower() for name in rows[0]]
+    if "altitude" not in header:
+        raise InputError(f"{path}: no column 'altitude': expected metres above the sea floor")
+    geographic = {"longitude", "latitude"} <= set(header)
+    names = ("longitude", "latitude") if geographic else ("x", "y")
+    if not set(names) <= set(header):
+        raise InputError(f"{path}: expected columns longitude, latitude or x, y; got {header}")
+    values = {name: _column(path, rows, header.index(name), name) for name in (*names, "altitude")}
+    low = np.flatnonzero(values["altitude"] <= 0)
+    if low.size:
+        row = int(low[0])
+        raise InputError(
+            f"{path}: row {row + 2}: altitude: expected more than 0 m, got {values['altitude'][row]:g}"
+        )
+    source = navigation_crs or (WGS84 if geographic else tile_crs)
+    if geographic:
+        _check_degrees(path, values["longitude"], values["latitude"])
+    x, y = transform_points(
+        pyproj.CRS.from_user_input(source).to_wkt(), crs, values[names[0]], values[names[1]]
+    )
+    return _checked_track(path, x, y, values["altitude"])
+
+
+def _checked_track(path: Path, x: FloatArray, y: FloatArray, altitude: FloatArray) -> Track:
+    if not np.all(np.isfinite(x) & np.isfinite(y)):
+        raise InputError(f"{path}: positions lie outside what the survey's CRS can hold")
+    moved = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
+    if moved.sum() < 2:
+        raise InputError(f"{path}: expected at least two pings at different positions")
+    return Track(x[moved], y[moved], altitude[moved])
+
+
+def _read_rows(path: Path) -> list[list[str]]:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"{path}: expected a CSV text file in UTF-8") from None
+    if not rows:
+        raise InputError(f"{path}: empty: expected a header and one row a ping")
+    if len(rows) < 3:
+        raise InputError(f"{path}: expected at least two pings, got {len(rows) - 1}")
+    return rows
+
+
+def _column(path: Path, rows: list[list[str]], index: int, name: str) -> FloatArray:
+    values = np.empty(len(rows) - 1)
+    for i, row in enumerate(rows[1:]):
+        try:
+            values[i] = float(row[index])
+        except (ValueError, IndexError):
+            given = row[index] if index < len(row) else ""
+            raise InputError(
+                f"{path}: row {i + 2}: {name}: expected a number, got {given[:40]!r}"
+            ) from None
+        if not np.isfinite(values[i]):
+            raise InputError(f"{path}: row {i + 2}: {name}: expected a finite number")
+    return values
+
+
+def _check_degrees(path: Path, longitude: FloatArray, latitude: FloatArray) -> None:
+    wrong = np.flatnonzero((np.abs(longitude) > 360) | (np.abs(latitude) > 90))
+    if wrong.size:
+        raise InputError(f"{path}: row {wrong[0] + 2}: expected longitude, latitude in degrees")
