@@ -7,7 +7,7 @@ import xarray as xr
 
 from sasmap.ripples.clip import BinnedClip, Clip, bin_clip, mean_look
 from sasmap.ripples.likelihood import Prior, speckle_data
-from sasmap.ripples.posterior import Posterior, Quality, converged, dataset
+from sasmap.ripples.posterior import LeftOut, Posterior, Quality, converged, dataset
 from sasmap.ripples.presence import ripple_peaks, spectrum
 from sasmap.ripples.published import sample_published
 from sasmap.ripples.sampler import learn_proposal, metropolis
@@ -63,9 +63,9 @@ def estimate(
     if valid.sum() < MIN_PIXELS:
         return Posterior(Quality.TOO_FEW_PIXELS, prior)
     if np.ptp(clip.amplitude[valid]) == 0:
-        return Posterior(Quality.NO_RIPPLES, prior, left_out=("sampling: all pixels are equal",))
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING)
     if settings.method == "zare-cobb":
-        return _published(clip, settings, prior, rng)
+        return _published(clip, prior, rng)
     return _default(clip, settings, prior, rng)
 
 
@@ -75,11 +75,10 @@ def _default(
     binned = bin_clip(clip)
     found = spectrum(binned, settings.frequency)
     if found is None:
-        reason = "sampling: too few wavelengths in the clip or pixels in a wavelength"
-        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=(reason,))
+        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
     peaks = ripple_peaks(found)
     if not peaks.size:
-        return Posterior(Quality.NO_RIPPLES, prior, left_out=("sampling: no ripples",))
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING)
     shadow = settings.shadow if _can_cast_shadow(binned, prior) else "none"
     data = speckle_data(binned.pooled(), shadow)
     compiled = prior.compiled()
@@ -99,9 +98,9 @@ def _default(
         done = converged(draws[..., 0]) and converged(draws[..., 1])
     draws[..., 2] %= 2 * np.pi
     draws[..., 3] = np.exp(draws[..., 3])
-    left_out = ("orientation: taken as square-on", "phase field: crests taken as straight")
+    left_out = LeftOut.ORIENTATION | LeftOut.PHASE_FIELD | LeftOut.TREND
     if shadow == "none":
-        left_out += ("shadow: none can fall within the height bounds",)
+        left_out |= LeftOut.SHADOW
     return Posterior(
         Quality.GOOD if done else Quality.NOT_CONVERGED,
         prior,
@@ -121,16 +120,13 @@ def _can_cast_shadow(binned: BinnedClip, prior: Prior) -> bool:
     return bool(steepest >= (altitude / np.maximum(ground_range, 1e-9)).min())
 
 
-def _published(
-    clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
-) -> Posterior:
-    draws, acceptance = sample_published(clip, prior, settings.chains, settings.draws, rng)
-    done = converged(draws[..., 0]) and converged(draws[..., 1])
+def _published(clip: Clip, prior: Prior, rng: np.random.Generator) -> Posterior:
+    draws, acceptance = sample_published(clip, prior, rng)
     return Posterior(
-        Quality.GOOD if done else Quality.NOT_CONVERGED,
+        Quality.NOT_CONVERGED,  # one chain cannot show that it converged
         prior,
         dataset(draws, ("frequency", "height")),
         mean_look(clip) % 180.0,
         acceptance,
-        ("presence test: the published method has none",),
+        LeftOut.PRESENCE_TEST | LeftOut.ORIENTATION | LeftOut.PHASE_FIELD | LeftOut.TREND,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 import numpy as np
 import xarray as xr
@@ -50,6 +50,17 @@ _LABELS = {
 }
 
 
+class LeftOut(IntFlag):
+    """What a clip did not need, or what this method does not do."""
+
+    SAMPLING = 1
+    PRESENCE_TEST = 2
+    SHADOW = 4
+    ORIENTATION = 8
+    PHASE_FIELD = 16
+    TREND = 32
+
+
 @dataclass(frozen=True)
 class Posterior:
     """Posterior of one clip.
@@ -68,7 +79,7 @@ class Posterior:
         Crest normal, degrees clockwise from grid north, 0 to 180; NaN without ripples.
     acceptance : float
         Accepted fraction of the kept steps.
-    left_out : tuple of str
+    left_out : LeftOut
         What the clip did not need.
     """
 
@@ -77,7 +88,7 @@ class Posterior:
     draws: xr.Dataset = field(default_factory=xr.Dataset)
     azimuth: float = float("nan")
     acceptance: float = float("nan")
-    left_out: tuple[str, ...] = ()
+    left_out: LeftOut = LeftOut(0)
 
     @property
     def sampled(self) -> bool:

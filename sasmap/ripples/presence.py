@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
 
 from sasmap.ripples.clip import BinnedClip
 
@@ -69,8 +70,9 @@ def spectrum(binned: BinnedClip, bounds: tuple[float, float]) -> Spectrum | None
     count, total = binned.count[filled], binned.total[filled]
     if high <= low or len(count) < 4 or total.sum() <= 0:
         return None
-    frequency = np.arange(low, high, 1 / (OVERSAMPLING * length))
-    amplitudes = _strip_amplitudes(_detrended(count, total), binned.centres, frequency)
+    frequency, amplitudes = _strip_amplitudes(_detrended(count, total), binned, low, high)
+    if frequency.size < 3:
+        return None
     mean = amplitudes.mean(axis=0)
     power = np.abs(mean) ** 2
     strips = len(amplitudes)
@@ -102,11 +104,17 @@ def _detrended(count: FloatArray, total: FloatArray) -> FloatArray:
 
 
 def _strip_amplitudes(
-    profiles: FloatArray, u: FloatArray, frequency: FloatArray
-) -> NDArray[np.complex128]:
-    taper = np.sin(np.pi * (np.arange(u.size) + 0.5) / u.size) ** 2
-    waves = np.exp(-2j * np.pi * np.outer(u, frequency)) * taper[:, None]
-    return np.asarray(profiles @ waves / taper.sum())
+    profiles: FloatArray, binned: BinnedClip, low: float, high: float
+) -> tuple[FloatArray, NDArray[np.complex128]]:
+    """Tapered spectra of strip profiles at frequencies within bounds, phase zero at u = 0."""
+    bins = profiles.shape[1]
+    size = next_fast_len(OVERSAMPLING * bins, real=True)
+    taper = np.sin(np.pi * (np.arange(bins) + 0.5) / bins) ** 2
+    every = np.fft.rfftfreq(size, binned.step)
+    wanted = (every >= low) & (every <= high)
+    frequency = every[wanted]
+    turn = np.exp(-2j * np.pi * frequency * binned.centres[0])
+    return frequency, rfft(profiles * taper, size, axis=1)[:, wanted] * turn / taper.sum()
 
 
 def _background(power: FloatArray) -> FloatArray:

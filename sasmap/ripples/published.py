@@ -24,6 +24,8 @@ FILTER = 5
 NARROW_WEIGHT = 0.7
 # Variances of the proposal's two Gaussians, for f and A_H alike (ZC 3.2.3).
 NARROW_VARIANCE, WIDE_VARIANCE = 0.01, 0.1
+# The paper gives no number; with this one the printed errors come out (SCIENCE 3).
+ITERATIONS = 4000
 
 
 class PublishedData(NamedTuple):
@@ -144,29 +146,24 @@ def algorithm_one(start, data, prior, rng, draws):  # type: ignore[no-untyped-de
 
 
 def sample_published(
-    clip: Clip, prior: Prior, chains: int, steps: int, rng: np.random.Generator
+    clip: Clip, prior: Prior, rng: np.random.Generator
 ) -> tuple[FloatArray, float]:
-    """Run the published sampler on a clip.
+    """Run the published sampler on a clip: one chain from the published start.
 
     Parameters
     ----------
     clip : Clip
     prior : Prior
-    chains : int
-        Runs of Algorithm 1, all from the published start.
-    steps : int
-        Kept iterations; as many more are discarded first.
     rng : Generator
 
     Returns
     -------
-    draws : ndarray (chains, steps, 2)
-        f (cycles/m) and A_H (m).
+    draws : ndarray (1, ITERATIONS / 2, 2)
+        f (cycles/m) and A_H (m); the first half of the iterations is discarded.
     acceptance : float
     """
     image = normalise(clip)
     data, compiled = reduce(clip, image), prior.compiled()
-    start = initial(data, image, compiled)
-    draws = np.empty((chains, 2 * steps, 2))
-    accepted = sum(algorithm_one(start, data, compiled, rng, chain) for chain in draws)
-    return draws[:, steps:], accepted / (4.0 * chains * steps)
+    draws = np.empty((ITERATIONS, 2))
+    accepted = algorithm_one(initial(data, image, compiled), data, compiled, rng, draws)
+    return draws[None, ITERATIONS // 2 :], accepted / (2.0 * ITERATIONS)

@@ -87,8 +87,8 @@ def steepest(steepness: ArrayLike, profile: ProfileName) -> FloatArray:
 def lit_amplitude(
     grazing: ArrayLike,
     slope: ArrayLike,
+    extreme: ArrayLike,
     steepness: ArrayLike,
-    profile: ProfileName = "sine",
 ) -> FloatArray:
     """Scattering amplitude a* of sea floor that is not in shadow.
 
@@ -98,9 +98,10 @@ def lit_amplitude(
         theta_0 = atan2(altitude, ground range), rad.
     slope : array_like
         :func:`profile_slope` at the point, signed along the look.
+    extreme : array_like
+        :func:`steepest` of the profile: the largest that `slope` gets.
     steepness : array_like
         2 pi f A_H cos(alpha), at least 0: the profile as the look crosses it.
-    profile : {"sine", "stokes", "peaked"}
 
     Returns
     -------
@@ -108,7 +109,7 @@ def lit_amplitude(
         sigma_s(theta_0) + [sigma_s(theta_max) - sigma_s(theta_min)] g / (g_max - g_min)
         (ZC 3; the mean slope is zero for all three profiles).
     """
-    extreme = steepest(steepness, profile)
+    extreme = np.asarray(extreme, float)
     tilt = np.arctan(np.asarray(steepness) * extreme)
     grazing = np.asarray(grazing, float)
     span = cross_section(grazing + tilt) - cross_section(grazing - tilt)

@@ -26,7 +26,7 @@ class RippleSettings(BaseModel):
         description="shadow rule; crest is the published one, always used by zare-cobb",
     )
     chains: Annotated[int, Field(ge=2, le=64)] = Field(
-        4, description="Markov chains per clip (default method)"
+        4, description="Markov chains per clip; zare-cobb runs one, as published"
     )
     draws: Annotated[int, Field(ge=100, le=1_000_000)] = Field(
         4000,

@@ -1,0 +1,165 @@
+"""The command line: parses, calls, prints, sets the exit status."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from sasmap.config import load_survey, survey_schema
+from sasmap.errors import InputError
+
+COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a verb and return the exit status.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default: those of the process.
+
+    Returns
+    -------
+    int
+        0 complete, 1 some cells could not be computed, 2 bad usage or input, 130 interrupted.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.call(options))
+    except InputError as error:
+        for fault in error.faults:
+            print(f"sasmap: {fault}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("sasmap: interrupted; run again to go on from here", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as error:
+        print(f"sasmap: {error}", file=sys.stderr)
+        return INCOMPLETE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sasmap", description="Sand ripples and sediments from sonar tiles, with error bars."
+    )
+    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+
+    run = verbs.add_parser(
+        "run",
+        help="run a survey",
+        description="Run a survey. Example: sasmap run sample_data/survey.yaml",
+    )
+    run.add_argument("survey", type=Path, help="survey file")
+    run.add_argument("--output", type=Path, metavar="DIR", help="folder of the products")
+    where = run.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="dask.distributed scheduler to use")
+    run.add_argument("--restart", action="store_true", help="forget finished cells first")
+    run.add_argument("--quiet", action="store_true", help="say nothing unless something is wrong")
+    run.set_defaults(call=_run)
+
+    plan = verbs.add_parser(
+        "plan",
+        help="tell what would run; writes nothing",
+        description="Tell what would run, and what is left out. Example: sasmap plan survey.yaml",
+    )
+    plan.add_argument("survey", type=Path, help="survey file")
+    plan.set_defaults(call=_plan)
+
+    simulate = verbs.add_parser(
+        "simulate",
+        help="simulate a survey with known truth",
+        description="Simulate a survey. Example: sasmap simulate scene.yaml --output scene",
+    )
+    simulate.add_argument("scene", type=Path, help="scene file")
+    simulate.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
+    simulate.set_defaults(call=_simulate)
+
+    schema = verbs.add_parser("schema", help="print the JSON Schema of survey.yaml")
+    schema.set_defaults(call=_schema)
+    return parser
+
+
+def _positive(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
+    return value
+
+
+def _run(options: argparse.Namespace) -> int:
+    from sasmap.pipeline import run_survey  # the compiled code loads only where it is needed
+
+    _log(options.quiet)
+    survey = load_survey(options.survey)
+    progress = None if options.quiet else _Progress()
+    outcome = run_survey(
+        survey,
+        output=options.output,
+        workers=options.workers,
+        scheduler=options.scheduler,
+        restart=options.restart,
+        progress=progress,
+    )
+    if not options.quiet:
+        counts = ", ".join(f"{count} {label}" for label, count in outcome.counts().items())
+        print(f"cells: {counts or 'none'}")
+        print(f"looks: {outcome.computed} computed, {outcome.kept} kept from earlier runs")
+        print("seconds: " + ", ".join(f"{k} {v:.1f}" for k, v in outcome.seconds.items()))
+        print(f"products: {outcome.output}")
+    return INCOMPLETE if outcome.failures else COMPLETE
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from sasmap.pipeline import describe, make_plan
+
+    for line in describe(make_plan(load_survey(options.survey))):
+        print(line)
+    return COMPLETE
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from sasmap.simulate import load_scene, simulate
+
+    written = simulate(load_scene(options.scene), options.output)
+    print(f"{len(written)} files in {options.output}")
+    return COMPLETE
+
+
+def _schema(options: argparse.Namespace) -> int:
+    print(survey_schema())
+    return COMPLETE
+
+
+def _log(quiet: bool) -> None:
+    logging.basicConfig(format="%(message)s", stream=sys.stderr)
+    logging.getLogger("sasmap").setLevel(logging.WARNING if quiet else logging.INFO)
+
+
+class _Progress:
+    """A bar on a terminal, a line every tenth elsewhere."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._tenth = 0
+
+    def __call__(self, done: int, total: int) -> None:
+        if self._terminal:
+            filled = 40 * done // total
+            bar = "#" * filled + "." * (40 - filled)
+            end = "\n" if done == total else ""
+            print(f"\r[{bar}] {done}/{total}", end=end, file=sys.stderr, flush=True)
+        elif 10 * done // total > self._tenth:
+            self._tenth = 10 * done // total
+            print(f"{done} of {total} looks at cells done", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,486 @@
+"""A survey from plan to products: cells and passes as dask work, finished cells kept."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import dask
+import numpy as np
+from dask.callbacks import Callback
+
+from sasmap.config import Survey
+from sasmap.errors import InputError
+from sasmap.products.files import write_text
+from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
+from sasmap.ripples.clip import Clip
+from sasmap.ripples.estimate import estimate
+from sasmap.ripples.passes import Summary, cell_quality, next_prior, summarise
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.store import Store, code_version, digest
+from sasmap.survey.cells import Cell
+from sasmap.survey.passes import OpenSurvey, Side, SonarPass, covers, open_survey, read_clip
+from sasmap.survey.tiles import hash_file
+
+log = logging.getLogger("sasmap")
+
+MIN_VALID = 0.25
+SEDIMENTS_NOTE = "sediments: not yet run by this version"
+
+
+class Look(NamedTuple):
+    """One side of one pass."""
+
+    sonar_pass: SonarPass
+    side: Side
+
+    @property
+    def label(self) -> str:
+        """The pass's name, with the side where the pass shows both."""
+        both = len(self.sonar_pass.sides) == 2
+        return f"{self.sonar_pass.name}:{self.side}" if both else self.sonar_pass.name
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will do.
+
+    Attributes
+    ----------
+    opened : OpenSurvey
+    looks : tuple of Look
+    cells : dict of Cell to tuple of int
+        The looks (indices) whose tiles meet each cell.
+    hashes : dict of Path to str
+        SHA-256 of every input file.
+    left_out : tuple of str
+        What the survey does not call for, and why.
+    """
+
+    opened: OpenSurvey
+    looks: tuple[Look, ...]
+    cells: dict[Cell, tuple[int, ...]]
+    hashes: dict[Path, str]
+    left_out: tuple[str, ...]
+
+    @property
+    def settings(self) -> Survey:
+        """The survey's settings."""
+        return self.opened.settings
+
+    @property
+    def run_id(self) -> str:
+        """Hash of inputs, settings, code version and seed."""
+        settings = self.settings.model_dump(mode="json", exclude={"output"})
+        return digest([self._inputs(), settings, code_version()])[:16]
+
+    def _inputs(self) -> list[list[str]]:
+        return [
+            [look.label, *(self.hashes[f] for f in _files(look.sonar_pass))] for look in self.looks
+        ]
+
+
+class LookResult(NamedTuple):
+    """What became of one look at one cell: a summary, or why there is none."""
+
+    summary: Summary | None
+    fault: str | None
+    computed: bool
+
+
+@dataclass
+class Outcome:
+    """What became of a run."""
+
+    output: Path
+    cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    computed: int = 0
+    kept: int = 0
+    written: list[Path] = field(default_factory=list)
+
+    def counts(self) -> dict[str, int]:
+        """Cells by quality."""
+        labels = [
+            cell_quality([s.quality for s in summaries if s is not None]).label
+            for summaries in self.cells.values()
+        ]
+        return {q.label: labels.count(q.label) for q in Quality if q.label in labels}
+
+
+def make_plan(survey: Survey) -> Plan:
+    """Open and check a survey, and list what would run.
+
+    Parameters
+    ----------
+    survey : Survey
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    InputError
+        With a line for every fault of the survey's files.
+    """
+    opened = open_survey(survey)
+    looks = tuple(Look(p, side) for p in opened.passes for side in p.sides)
+    meets = {p.name: _cells_met(opened, p) for p in opened.passes}
+    cells = {
+        cell: tuple(k for k, look in enumerate(looks) if cell in meets[look.sonar_pass.name])
+        for cell in opened.grid
+    }
+    files = {f for p in opened.passes for f in _files(p)}
+    left_out = [] if survey.ripples else ["ripples: the survey file has no ripples block"]
+    if survey.sediments is None:
+        left_out.append("sediments: the survey file has no sediments block")
+    else:
+        left_out.append(SEDIMENTS_NOTE)
+    return Plan(opened, looks, cells, {f: hash_file(f) for f in sorted(files)}, tuple(left_out))
+
+
+def _cells_met(opened: OpenSurvey, sonar_pass: SonarPass) -> set[Cell]:
+    return {cell for cell in opened.grid if covers(sonar_pass, opened.grid, cell)}
+
+
+def _files(sonar_pass: SonarPass) -> list[Path]:
+    return [*(tile.path for tile in sonar_pass.tiles), sonar_pass.navigation]
+
+
+def run_survey(
+    survey: Survey,
+    *,
+    output: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    restart: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Outcome:
+    """Run a survey: estimate every cell, write every product.
+
+    Parameters
+    ----------
+    survey : Survey
+    output : Path, optional
+        Folder of the products; default the survey file's.
+    workers : int, optional
+        Threads; default one a core.
+    scheduler : str, optional
+        Address of a dask.distributed scheduler to use instead of threads.
+    restart : bool
+        Forget finished work first.
+    progress : callable, optional
+        Called with the number of finished looks at cells and of all.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    InputError
+        Before anything is written or changed.
+    """
+    clock = _Clock()
+    with clock.stage("check"):
+        plan = make_plan(survey)
+        store = Store(_made(output or survey.output_folder))
+    for warning in plan.opened.warnings:
+        log.warning(warning)
+    store.remove_leftovers()
+    if restart:
+        store.clear()
+    outcome = Outcome(store.output, seconds=clock.seconds)
+    if survey.ripples is not None:
+        with clock.stage("ripples"):
+            _estimate_cells(plan, store, outcome, workers, scheduler, progress)
+        with clock.stage("products"):
+            _write_ripples(plan, store, outcome)
+    _write_manifest(plan, store, outcome)
+    return outcome
+
+
+def _made(folder: Path) -> Path:
+    try:
+        (folder / ".sasmap").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: output folder cannot be made: {error.strerror or error}"
+        ) from None
+    if not os.access(folder / ".sasmap", os.W_OK):
+        raise InputError(f"{folder}: output folder cannot be written to")
+    return folder
+
+
+def _estimate_cells(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    scheduler: str | None,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    tasks: dict[tuple[Cell, int], Any] = {}
+    context = dask.delayed(_Context(plan, store), pure=False, traverse=False)
+    for cell, looks in plan.cells.items():
+        earlier: list[Any] = []
+        for k in looks:
+            tasks[cell, k] = dask.delayed(_run_look, pure=False)(context, cell, k, list(earlier))
+            earlier.append(tasks[cell, k])
+    total = len(tasks)
+    log.info("%d cells, %d looks at them", len(plan.cells), total)
+    done = dict(zip(tasks, _compute(list(tasks.values()), workers, scheduler, progress), strict=True))
+    for cell, looks in plan.cells.items():
+        summaries: list[Summary | None] = [None] * len(plan.looks)
+        for k in looks:
+            result = done[cell, k]
+            summaries[k] = result.summary
+            outcome.computed += result.computed
+            outcome.kept += not result.computed
+            if result.fault is not None:
+                summaries[k] = Summary(Quality.FAILED, LeftOut(0))
+                outcome.failures.append(_failure(cell, plan.looks[k], result.fault))
+        outcome.cells[tuple(cell)] = summaries
+
+
+def _failure(cell: Cell, look: Look, fault: str) -> dict[str, Any]:
+    log.warning("cell row %d, column %d, pass %s: %s", *cell, look.label, fault)
+    return {"row": cell.row, "column": cell.column, "pass": look.label, "fault": fault}
+
+
+def _compute(
+    tasks: list[Any],
+    workers: int | None,
+    scheduler: str | None,
+    progress: Callable[[int, int], None] | None,
+) -> Sequence[LookResult]:
+    tick = _Ticker(len(tasks), progress)
+    if scheduler is not None:
+        return _compute_on_cluster(tasks, scheduler, tick)
+    with Callback(posttask=lambda key, *_: tick() if str(key).startswith("_run_look") else None):
+        results: Sequence[LookResult] = dask.compute(
+            *tasks, scheduler="threads", num_workers=workers or os.cpu_count() or 1
+        )
+    return results
+
+
+def _compute_on_cluster(
+    tasks: list[Any], scheduler: str, tick: Callable[[], None]
+) -> Sequence[LookResult]:
+    from distributed import Client, as_completed  # heavy, and only clusters need it
+
+    try:
+        client = Client(scheduler, timeout="10s", set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {scheduler}: no dask scheduler answers: {error}") from None
+    with client:
+        futures = client.compute(tasks)
+        for _ in as_completed(futures):
+            tick()
+        results: Sequence[LookResult] = client.gather(futures)
+    return results
+
+
+@dataclass
+class _Ticker:
+    total: int
+    progress: Callable[[int, int], None] | None
+    done: int = 0
+
+    def __call__(self) -> None:
+        self.done += 1
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+
+class _Context(NamedTuple):
+    plan: Plan
+    store: Store
+
+
+def _run_look(
+    context: _Context, cell: Cell, k: int, earlier: list[LookResult]
+) -> LookResult:
+    """Estimate one look at one cell, or take its finished result. Never raises."""
+    try:
+        return _look(context, cell, k, [r.summary for r in earlier if r.summary is not None])
+    except Exception as error:  # one cell's fault must not end the survey
+        return LookResult(None, f"{type(error).__name__}: {error}", True)
+
+
+def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
+    plan, store = context
+    look, grid = plan.looks[k], plan.opened.grid
+    settings = plan.settings.ripples
+    assert settings is not None
+    prior = next_prior(earlier, settings)
+    key = _key(plan, cell, look, [prior.mean, prior.sd, prior.correlation])
+    kept = store.load(key)
+    if kept is not None:
+        return LookResult(kept, None, False)
+    clip = read_clip(look.sonar_pass, grid, cell, look.side)
+    if clip is None:
+        summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
+    else:
+        pixels = int(np.isfinite(clip.values).sum())
+        if pixels * clip.attrs["pixel_size"] ** 2 < MIN_VALID * grid.size**2:
+            summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
+        else:
+            rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
+            posterior = estimate(Clip.from_array(clip), settings, rng=rng, prior=prior)
+            summary = summarise(posterior)
+    store.save(key, summary)
+    return LookResult(summary, None, True)
+
+
+def _seed(seed: int, look: Look, cell: Cell) -> np.random.SeedSequence:
+    # the pass by its name, so that a pass added or moved in the list changes no other
+    name = int(digest(look.label)[:16], 16)
+    return np.random.SeedSequence([seed, name, cell.row, cell.column])
+
+
+def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
+    grid, sonar_pass = plan.opened.grid, look.sonar_pass
+    tiles = covers(sonar_pass, grid, cell)
+    assert plan.settings.ripples is not None
+    return digest(
+        {
+            "code": code_version(),
+            "seed": plan.settings.seed,
+            "settings": plan.settings.ripples.model_dump(mode="json"),
+            "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
+            "cell": list(cell),
+            "pass": [look.label, look.side, sonar_pass.slant],
+            "tiles": [plan.hashes[tile.path] for tile in tiles],
+            "navigation": plan.hashes[sonar_pass.navigation],
+            "prior": repr(prior),
+        }
+    )
+
+
+def _tags(plan: Plan) -> dict[str, str]:
+    return {
+        "SOFTWARE": f"sasmap {code_version()}",
+        "SURVEY": plan.settings.name,
+        "RUN_ID": plan.run_id,
+    }
+
+
+def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
+    grid, settings = plan.opened.grid, plan.settings.ripples
+    assert settings is not None
+    shape, tags = (grid.rows, grid.columns), _tags(plan)
+    outcome.written += write_ripple_rasters(
+        store.output,
+        outcome.cells,
+        [look.sonar_pass.name for look in plan.looks],
+        settings,
+        shape,
+        grid.transform,
+        grid.crs,
+        tags,
+        store.scratch,
+    )
+    path = store.output / "ripples.nc"
+    labels = [look.label for look in plan.looks]
+    write_ripples_netcdf(
+        path, outcome.cells, labels, shape, grid.transform, grid.crs, tags, store.scratch
+    )
+    outcome.written.append(path)
+
+
+def _write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
+    path = store.output / "run.json"
+    outcome.written.append(path)
+    base = plan.settings.path.parent
+    content = {
+        "run_id": plan.run_id,
+        "survey": plan.settings.name,
+        "versions": _versions(),
+        "settings": plan.settings.model_dump(mode="json"),
+        "seed": plan.settings.seed,
+        "inputs": {_relative(f, base): value for f, value in plan.hashes.items()},
+        "grid": {
+            "rows": plan.opened.grid.rows,
+            "columns": plan.opened.grid.columns,
+            "cell_size_m": plan.opened.grid.size,
+        },
+        "cells_by_quality": outcome.counts(),
+        "looks_computed": outcome.computed,
+        "looks_kept_from_earlier_runs": outcome.kept,
+        "failures": outcome.failures,
+        "warnings": list(plan.opened.warnings),
+        "left_out": [*plan.left_out, *_left_out_counts(outcome)],
+        "products": [p.name for p in outcome.written],
+        "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},
+    }
+    write_text(path, json.dumps(content, indent=2) + "\n", store.scratch)
+
+
+def _left_out_counts(outcome: Outcome) -> Iterator[str]:
+    every = [s for summaries in outcome.cells.values() for s in summaries if s is not None]
+    for flag in LeftOut:
+        count = sum(1 for s in every if flag in s.left_out)
+        if count:
+            name = str(flag.name).lower().replace("_", " ")
+            yield f"{name}: at {count} of {len(every)} looks at cells"
+
+
+def _relative(path: Path, base: Path) -> str:
+    try:
+        return str(path.relative_to(base))
+    except ValueError:
+        return os.path.relpath(path, base)
+
+
+def _versions() -> dict[str, str]:
+    from importlib.metadata import version
+
+    names = ("numpy", "scipy", "numba", "rasterio", "xarray", "dask", "pyproj")
+    return {
+        "sasmap": code_version(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in names},
+    }
+
+
+class _Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start
+
+
+def describe(plan: Plan) -> Iterable[str]:
+    """Tell what a plan would run, a line each."""
+    grid = plan.opened.grid
+    looks = [len(k) for k in plan.cells.values()]
+    yield f"survey: {plan.settings.name}"
+    yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    for p in plan.opened.passes:
+        met = sum(any(plan.looks[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
+        sides = " and ".join(p.sides)
+        yield f"pass {p.name}: {len(p.tiles)} tiles, {sides}, {p.track.x.size} pings, {met} cells"
+    if plan.settings.ripples is not None:
+        method = plan.settings.ripples.method
+        yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+    for line in plan.left_out:
+        yield f"left out: {line}"
+    for line in plan.opened.warnings:
+        yield f"warning: {line}"

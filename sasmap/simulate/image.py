@@ -1,0 +1,287 @@
+"""What a pass of a simulated sonar records: scattering, shadow, speckle, noise, quantisation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from sasmap.ripples.scattering import (
+    cross_section,
+    lit_amplitude,
+    profile_slope,
+    shadow_crest_rule,
+    steepest,
+)
+from sasmap.simulate.scene import Scene, ScenePass
+from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
+
+FloatArray = NDArray[np.float64]
+
+# Sight lines are followed at this fraction of a pixel in range.
+SIGHT_STEP = 0.5
+# Sight lines start this far before the nearest pixel, m: no shadow of a ripple is longer.
+SIGHT_REACH = 40.0
+NODATA = {"uint8": 0, "uint16": 0, "float32": np.nan}
+# Mean flat amplitude as a fraction of the largest value, so that bright facets do not saturate.
+FILL = {"uint8": 255 / 6, "uint16": 65535 / 12, "float32": 1.0}
+
+
+class View(NamedTuple):
+    """Where a pass sees map points from; arrays of the points' shape, m."""
+
+    along: FloatArray
+    ground_range: FloatArray
+    altitude: FloatArray
+
+
+class Line(NamedTuple):
+    """A pass's straight track, in map coordinates.
+
+    Attributes
+    ----------
+    start : ndarray (2,)
+        Map position of its first ping.
+    direction, look : ndarray (2,)
+        Unit vectors (east, north) along the track and from it to the sea floor.
+    length : float
+        m.
+    altitude : tuple of float
+        At start and end, m.
+    """
+
+    start: FloatArray
+    direction: FloatArray
+    look: FloatArray
+    length: float
+    altitude: tuple[float, float]
+
+    def see(self, x: FloatArray, y: FloatArray) -> View:
+        """Return along-track distance, ground range and altitude for map points."""
+        dx, dy = x - self.start[0], y - self.start[1]
+        along = dx * self.direction[0] + dy * self.direction[1]
+        return View(along, dx * self.look[0] + dy * self.look[1], self.altitude_at(along))
+
+    def altitude_at(self, along: FloatArray) -> FloatArray:
+        """Altitude at along-track distances, m."""
+        first, last = self.altitude
+        return first + (last - first) * np.clip(along / self.length, 0, 1)
+
+    def point(self, along: FloatArray, ground_range: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return map points from along-track distance and ground range."""
+        return (
+            self.start[0] + along * self.direction[0] + ground_range * self.look[0],
+            self.start[1] + along * self.direction[1] + ground_range * self.look[1],
+        )
+
+
+def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
+    """Lay a pass's track so that the scene lies abeam of it."""
+    heading = np.radians(scene_pass.heading)
+    direction = np.array([np.sin(heading), np.cos(heading)])
+    starboard = np.array([direction[1], -direction[0]])
+    look = starboard if scene_pass.side == "starboard" else -starboard
+    half = 0.5 * (abs(direction[0]) * scene.size[0] + abs(direction[1]) * scene.size[1]) + 5.0
+    abeam = np.array(scene.centre) - scene_pass.distance * look
+    altitude = scene_pass.altitude
+    both = altitude if isinstance(altitude, tuple) else (altitude, altitude)
+    return Line(abeam - half * direction, direction, look, 2 * half, both)
+
+
+def record(
+    scene: Scene,
+    floor: SeaFloor,
+    scene_pass: ScenePass,
+    transform: Affine,
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+) -> NDArray[np.generic]:
+    """Simulate a tile.
+
+    Parameters
+    ----------
+    scene : Scene
+    floor : SeaFloor
+    scene_pass : ScenePass
+    transform : Affine
+        Of the tile.
+    shape : tuple of int
+        Rows and columns.
+    rng : Generator
+
+    Returns
+    -------
+    ndarray (rows, columns)
+        Of the pass's dtype, with NODATA where the pass sees nothing of the scene.
+    """
+    line = track_line(scene, scene_pass)
+    column, row = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    x = transform.c + transform.a * column + transform.b * row
+    y = transform.f + transform.d * column + transform.e * row
+    view = line.see(x, y)
+    if scene_pass.range == "slant":
+        squared = view.ground_range**2 - view.altitude**2
+        wet = (squared > 0) & (view.ground_range > 0)
+        view = view._replace(ground_range=np.where(wet, np.sqrt(np.maximum(squared, 0)), -1.0))
+        x, y = line.point(view.along, view.ground_range)
+    seen = _covered(scene, scene_pass, x, y) & (view.ground_range > 0)
+    amplitude = np.full(shape, np.nan)
+    if seen.any():
+        points = x[seen], y[seen], View(*(v[seen] for v in view))
+        amplitude[seen] = scattering(scene, floor, line, *points, _pixel(scene, scene_pass))
+    field = _speckle(scene, floor, scene_pass, x, y, amplitude, rng)
+    return _quantised(field, scene_pass)
+
+
+def _pixel(scene: Scene, scene_pass: ScenePass) -> float:
+    return scene_pass.pixel_size or scene.pixel_size
+
+
+def _covered(
+    scene: Scene, scene_pass: ScenePass, x: FloatArray, y: FloatArray
+) -> NDArray[np.bool_]:
+    east, north = x - scene.origin[0], y - scene.origin[1]
+    inside = (east >= 0) & (east < scene.size[0]) & (north >= 0) & (north < scene.size[1])
+    if scene_pass.area is not None:
+        inside &= in_polygon(east, north, np.array(scene_pass.area))
+    return np.asarray(inside)
+
+
+def scattering(
+    scene: Scene,
+    floor: SeaFloor,
+    line: Line,
+    x: FloatArray,
+    y: FloatArray,
+    view: View,
+    pixel: float,
+) -> FloatArray:
+    """Amplitude a* at map points (SCIENCE 2), over that of flat sea floor at the scene's centre.
+
+    Parameters
+    ----------
+    scene : Scene
+    floor : SeaFloor
+    line : Line
+    x, y : ndarray
+        Map coordinates, m.
+    view : View
+        Of the same points.
+    pixel : float
+        Pixel size, m.
+
+    Returns
+    -------
+    ndarray
+        0 in shadow.
+    """
+    waves = floor.waves(x, y)
+    grazing = np.arctan2(view.altitude, view.ground_range)
+    along_look = waves.east * line.look[0] + waves.north * line.look[1]
+    # looked at from behind, the same sea floor has its phase reversed (SCIENCE 2 "Orientation")
+    phase = np.where(along_look < 0, np.pi - waves.phase, waves.phase)
+    along_look = np.abs(along_look)
+    steepness = 2 * np.pi * along_look * waves.height
+    result = cross_section(grazing)
+    for k, patch in enumerate(scene.ripples):
+        on = (waves.patch == k) & (waves.height > 0)
+        if on.any():
+            full = 2 * np.pi * np.hypot(waves.east[on], waves.north[on]) * waves.height[on]
+            slope = profile_slope(phase[on], full, patch.profile)
+            extreme = steepest(full, patch.profile)
+            result[on] = lit_amplitude(grazing[on], slope, extreme, steepness[on])
+    shadow = _shadow(scene, floor, line, view, waves, phase, along_look, pixel)
+    centre = line.see(*(np.array([v]) for v in scene.centre))
+    reference = cross_section(np.arctan2(centre.altitude, centre.ground_range))
+    return np.asarray(np.where(shadow, 0.0, np.maximum(result, 0.0)) / reference)
+
+
+def _shadow(
+    scene: Scene,
+    floor: SeaFloor,
+    line: Line,
+    view: View,
+    waves: Waves,
+    phase: FloatArray,
+    along_look: FloatArray,
+    pixel: float,
+) -> NDArray[np.bool_]:
+    if not (waves.patch >= 0).any():
+        return np.zeros(view.along.shape, bool)
+    if scene.shadow == "crest":
+        ahead = np.maximum(along_look, 1e-9)
+        ruled = shadow_crest_rule(phase, view.ground_range, view.altitude, ahead, waves.height)
+        return np.asarray(ruled & (waves.height > 0))
+    start = max(0.5 * pixel, float(view.ground_range.min()) - SIGHT_REACH)
+    ranges = np.arange(start, float(view.ground_range.max()) + pixel, SIGHT_STEP * pixel)
+    first = float(view.along.min())
+    rows = np.arange(first, float(view.along.max()) + pixel, pixel)
+    highest = np.empty((rows.size, ranges.size))
+    for low in range(0, rows.size, 256):  # in stripes, to bound memory
+        part = rows[low : low + 256]
+        x, y = line.point(part[:, None], ranges)
+        rise = (floor.elevation(floor.waves(x, y)) - line.altitude_at(part)[:, None]) / ranges
+        highest[low : low + 256] = np.maximum.accumulate(rise, axis=1)
+    row = np.clip(np.rint((view.along - first) / pixel).astype(np.int64), 0, rows.size - 1)
+    before = np.ceil((view.ground_range - start) / (SIGHT_STEP * pixel) - 1e-6).astype(np.int64) - 1
+    rise = (floor.elevation(waves) - view.altitude) / view.ground_range
+    hidden = rise < highest[row, np.clip(before, 0, ranges.size - 1)]
+    return np.asarray(hidden & (before >= 0))
+
+
+def _speckle(
+    scene: Scene,
+    floor: SeaFloor,
+    scene_pass: ScenePass,
+    x: FloatArray,
+    y: FloatArray,
+    amplitude: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Multiply by the sediment's generalised-K speckle and add receiver noise (SCIENCE 4)."""
+    shape = amplitude.shape
+    index = floor.sediment(x, y)
+    level, nu, kappa = (
+        np.array([getattr(s, name) for s in scene.sediments])[index]
+        for name in ("level", "nu", "kappa")
+    )
+    random = _complex_noise(shape, scene_pass.correlation, rng)
+    texture = np.ones(shape)
+    finite = np.isfinite(nu)
+    if finite.any():
+        draws = rng.gamma(np.where(finite, nu, 1.0)) / np.where(finite, nu, 1.0)
+        texture = np.where(finite, draws, 1.0)
+    # unit mean square: E[x^2] = a^2 (1 + kappa^2 (1 + 1 / nu))
+    scale = 1 / np.sqrt(1 + kappa**2 * (1 + 1 / nu))
+    field = scale * (np.sqrt(texture) * random + texture * kappa)
+    signal = np.sqrt(level) * amplitude * field
+    if scene_pass.noise is not None:
+        power = 10 ** (scene_pass.noise / 10)
+        signal = signal + np.sqrt(power) * _complex_noise(shape, 0.0, rng)
+    return np.abs(signal)
+
+
+def _complex_noise(
+    shape: tuple[int, ...], correlation: float, rng: np.random.Generator
+) -> NDArray[np.complex128]:
+    """Circular Gaussian noise of unit mean square, correlated over `correlation` pixels."""
+    parts = rng.normal(size=(2, *shape))
+    if correlation > 0:
+        impulse = np.zeros(64 * int(np.ceil(correlation)) + 1)
+        impulse[impulse.size // 2] = 1
+        kernel = gaussian_filter(impulse, correlation)
+        parts = gaussian_filter(parts, (0, correlation, correlation), mode="wrap")
+        parts /= (kernel**2).sum()
+    return np.asarray((parts[0] + 1j * parts[1]) / np.sqrt(2))
+
+
+def _quantised(field: FloatArray, scene_pass: ScenePass) -> NDArray[np.generic]:
+    dtype = scene_pass.dtype
+    value = field * (scene_pass.gain or FILL[dtype])
+    missing = np.isnan(value)
+    if dtype != "float32":  # 0 is nodata, so what is seen starts at 1
+        value = np.clip(np.rint(np.nan_to_num(value)), 1, np.iinfo(dtype).max)
+    return np.where(missing, NODATA[dtype], value).astype(dtype)

@@ -1,0 +1,142 @@
+"""scene.yaml: a sea floor with known truth, and the passes that look at it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import pyproj
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
+
+from sasmap.config import Name, parse_model
+from sasmap.yamlfile import load_yaml
+
+Point = tuple[FiniteFloat, FiniteFloat]
+Polygon = Annotated[tuple[Point, ...], Field(min_length=3)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Block(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Sediment(_Block):
+    """A sediment: its backscatter and speckle law, and where it lies."""
+
+    name: Name
+    level: Positive = Field(1.0, description="mean intensity, relative")
+    nu: Annotated[float, Field(gt=0)] = Field(
+        float("inf"), description="texture shape; infinite: no texture"
+    )
+    kappa: NotNegative = Field(0.0, description="steady over random amplitude, delta / a")
+    polygon: Polygon | None = Field(
+        None, description="m east and north of the origin; none: everywhere"
+    )
+
+
+class RipplePatch(_Block):
+    """A field of ripples: geometry, profile, and how far its crests are from straight."""
+
+    frequency: Positive = Field(description="cycles/m")
+    height: Positive = Field(description="A_H, m")
+    azimuth: FiniteFloat = Field(description="crest normal, degrees clockwise from grid north")
+    phase: FiniteFloat = Field(0.0, description="rad, at the patch's reference, the scene's centre")
+    profile: Literal["sine", "stokes", "peaked"] = "sine"
+    wander: NotNegative = Field(0.0, description="rms of the phase's wander, rad")
+    wander_length: Positive = Field(10.0, description="correlation length of the wander, m")
+    forks: tuple[Point, ...] = Field(
+        (), description="where crests split, m east and north of the origin"
+    )
+    polygon: Polygon | None = None
+
+
+class ScenePass(_Block):
+    """A straight pass by the scene and how its sonar records."""
+
+    name: Name
+    heading: FiniteFloat = Field(description="degrees clockwise from grid north")
+    side: Literal["port", "starboard"] = "starboard"
+    distance: Positive = Field(description="ground range of the scene's centre, m")
+    altitude: Positive | tuple[Positive, Positive] = Field(
+        5.0, description="m; two values: at the track's start and end"
+    )
+    pixel_size: Positive | None = Field(None, description="m; default the scene's")
+    rotation: FiniteFloat = Field(
+        0.0, description="of the tiles' rows against grid east, degrees clockwise"
+    )
+    tile: Annotated[int, Field(ge=16, le=20_000)] = Field(2000, description="tile side, pixels")
+    range: Literal["ground", "slant"] = "ground"
+    gain: Positive | None = Field(None, description="pixel value of the mean flat amplitude")
+    correlation: NotNegative = Field(0.0, description="speckle correlation length, pixels")
+    noise: FiniteFloat | None = Field(-25.0, description="receiver noise, dB of the mean intensity")
+    dtype: Literal["uint8", "uint16", "float32"] = "uint8"
+    positions: Literal["projected", "geographic"] = "projected"
+    area: Polygon | None = Field(None, description="what the pass covers; default the whole scene")
+
+
+class Scene(_Block):
+    """A simulated survey."""
+
+    name: Name
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    crs: str = "EPSG:32617"
+    origin: Point = Field(description="lower-left corner, map coordinates, m")
+    size: tuple[Positive, Positive] = Field(description="m east and north")
+    pixel_size: Positive
+    window: Annotated[int, Field(ge=3, le=10_000)] = 500
+    shadow: Literal["line-of-sight", "crest"] = "line-of-sight"
+    sediments: Annotated[tuple[Sediment, ...], Field(min_length=1)] = Field(
+        description="later ones lie on earlier ones; the first lies everywhere"
+    )
+    ripples: tuple[RipplePatch, ...] = Field((), description="later ones lie on earlier ones")
+    passes: Annotated[tuple[ScenePass, ...], Field(min_length=1)]
+
+    @field_validator("crs")
+    @classmethod
+    def _projected(cls, value: str) -> str:
+        try:
+            crs = pyproj.CRS.from_user_input(value)
+        except pyproj.exceptions.CRSError:
+            raise ValueError(f"expected a CRS such as EPSG:32617, got {value!r}") from None
+        if not crs.is_projected:
+            raise ValueError(f"expected a projected CRS, got {value!r}")
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        names = [p.name for p in self.passes]
+        if len(set(names)) < len(names):
+            raise ValueError("passes: expected a name of its own for each")
+        if any("/" in name or name.startswith(".") for name in names):
+            raise ValueError("passes: expected names that can name a folder")
+        if self.sediments[0].polygon is not None:
+            raise ValueError("sediments: expected the first one without a polygon, everywhere")
+        if len(self.sediments) > 250:
+            raise ValueError("sediments: expected at most 250")
+        return self
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Map coordinates of the middle, m."""
+        return self.origin[0] + self.size[0] / 2, self.origin[1] + self.size[1] / 2
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        With one line for every fault found.
+    """
+    path = Path(path)
+    return parse_model(Scene, load_yaml(path), path)

@@ -1,0 +1,184 @@
+"""The simulated sea floor: sediment class, ripple phase and height at any map point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from sasmap.ripples.scattering import profile_height
+from sasmap.simulate.scene import RipplePatch, Scene
+
+FloatArray = NDArray[np.float64]
+
+WAVES = 256
+# Grid points per correlation length of the phase's wander.
+WANDER_SAMPLES = 8
+
+
+class Waves(NamedTuple):
+    """Local plane wave of the ripples at map points; arrays of the points' shape.
+
+    Attributes
+    ----------
+    phase : ndarray
+        rad, the crest at pi/2.
+    east, north : ndarray
+        Wave vector, cycles/m.
+    height : ndarray
+        A_H, m; 0 where there are no ripples.
+    patch : ndarray of int
+        Index of the ripple patch, -1 for none.
+    """
+
+    phase: FloatArray
+    east: FloatArray
+    north: FloatArray
+    height: FloatArray
+    patch: NDArray[np.int64]
+
+
+def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
+    """Whether points lie in a polygon (n, 2), by the even-odd rule."""
+    inside = np.zeros(np.shape(x), bool)
+    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if y0 != y1:
+            crosses = (y0 > y) != (y1 > y)
+            inside ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return inside
+
+
+def edge_distance(x: FloatArray, y: FloatArray, polygon: FloatArray) -> FloatArray:
+    """Distance of points from a polygon's outline, m."""
+    nearest = np.full(np.shape(x), np.inf)
+    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        dx, dy = x1 - x0, y1 - y0
+        square = dx * dx + dy * dy
+        along = ((x - x0) * dx + (y - y0) * dy) / square if square > 0 else np.zeros_like(x)
+        along = np.clip(along, 0, 1)
+        np.minimum(nearest, np.hypot(x - x0 - along * dx, y - y0 - along * dy), out=nearest)
+    return nearest
+
+
+@dataclass(frozen=True)
+class _Wander:
+    """A smooth Gaussian random phase and its gradient on a grid, for interpolation."""
+
+    left: float
+    bottom: float
+    step: float
+    values: FloatArray  # (3, rows, columns): phase, d/d east, d/d north
+
+    def at(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        where = [(y - self.bottom) / self.step, (x - self.left) / self.step]
+        return np.stack([map_coordinates(v, where, order=3, mode="nearest") for v in self.values])
+
+
+class SeaFloor:
+    """A scene's sea floor.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        origin = np.array(scene.origin)
+        self._sediments = [
+            None if s.polygon is None else np.array(s.polygon) + origin for s in scene.sediments
+        ]
+        self._patches = [
+            None if p.polygon is None else np.array(p.polygon) + origin for p in scene.ripples
+        ]
+        self._wander = [_wander(scene, k, patch) for k, patch in enumerate(scene.ripples)]
+
+    @property
+    def outlines(self) -> list[FloatArray]:
+        """Polygons of the sediments that have one, (n, 2) map coordinates."""
+        return [polygon for polygon in self._sediments if polygon is not None]
+
+    def sediment(self, x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
+        """Index of the sediment at map points."""
+        index = np.zeros(np.shape(x), np.int64)
+        for k, polygon in enumerate(self._sediments):
+            if polygon is not None:
+                index[in_polygon(x, y, polygon)] = k
+        return index
+
+    def waves(self, x: FloatArray, y: FloatArray) -> Waves:
+        """Ripple phase, wave vector and height at map points."""
+        shape = np.shape(x)
+        phase, east, north, height = np.zeros((4, *shape))
+        which = np.full(shape, -1, np.int64)
+        for k, patch in enumerate(self._scene.ripples):
+            polygon = self._patches[k]
+            inside = np.ones(shape, bool) if polygon is None else in_polygon(x, y, polygon)
+            if not inside.any():
+                continue
+            px, py = x[inside], y[inside]
+            phase[inside], east[inside], north[inside], damped = self._patch(k, patch, px, py)
+            if polygon is not None:  # ripples fade over half a wavelength, no cliff at the edge
+                fade = np.clip(2 * patch.frequency * edge_distance(px, py, polygon), 0, 1)
+                damped = damped * fade**2 * (3 - 2 * fade)
+            height[inside] = damped
+            which[inside] = k
+        return Waves(phase, east, north, height, which)
+
+    def _patch(
+        self, k: int, patch: RipplePatch, x: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        azimuth = np.radians(patch.azimuth)
+        kx, ky = patch.frequency * np.sin(azimuth), patch.frequency * np.cos(azimuth)
+        cx, cy = self._scene.centre
+        phase = 2 * np.pi * (kx * (x - cx) + ky * (y - cy)) + patch.phase
+        east, north = np.full_like(x, kx), np.full_like(x, ky)
+        height = np.full_like(x, patch.height)
+        wander = self._wander[k]
+        if wander is not None:
+            extra, dx, dy = wander.at(x, y)
+            phase, east, north = phase + extra, east + dx / (2 * np.pi), north + dy / (2 * np.pi)
+        for j, (fx, fy) in enumerate(patch.forks):
+            sign = 1 - 2 * (j % 2)
+            dx, dy = x - self._scene.origin[0] - fx, y - self._scene.origin[1] - fy
+            square = dx**2 + dy**2
+            soft = square + (0.25 / patch.frequency) ** 2
+            phase = phase + sign * np.arctan2(dy, dx)
+            east = east - sign * dy / soft / (2 * np.pi)
+            north = north + sign * dx / soft / (2 * np.pi)
+            height = height * square / soft
+        return phase, east, north, height
+
+    def elevation(self, waves: Waves) -> FloatArray:
+        """Height of the sea floor over its mean at the points of `waves`, m."""
+        result = np.zeros_like(waves.height)
+        steepness = 2 * np.pi * np.hypot(waves.east, waves.north) * waves.height
+        for k, patch in enumerate(self._scene.ripples):
+            on = waves.patch == k
+            if on.any():
+                shape = profile_height(waves.phase[on], steepness[on], patch.profile)
+                result[on] = waves.height[on] * shape
+        return result
+
+
+def _wander(scene: Scene, k: int, patch: RipplePatch) -> _Wander | None:
+    """Sum random plane waves whose wave numbers are Gaussian: a Gaussian correlation."""
+    if patch.wander == 0:
+        return None
+    rng = np.random.default_rng(np.random.SeedSequence([scene.seed, 101, k]))
+    numbers = rng.normal(0, 1 / patch.wander_length, (WAVES, 2))
+    offsets = rng.uniform(0, 2 * np.pi, WAVES)
+    step = patch.wander_length / WANDER_SAMPLES
+    margin = 4 * step + 60.0  # sight lines start outside the scene
+    x = np.arange(-margin, scene.size[0] + margin + step, step)
+    y = np.arange(-margin, scene.size[1] + margin + step, step)
+    values = np.zeros((3, y.size, x.size))
+    for (kx, ky), offset in zip(numbers, offsets, strict=True):
+        angle = kx * x + ky * y[:, None] + offset
+        sine = np.sin(angle)
+        values += np.stack([np.cos(angle), -kx * sine, -ky * sine])
+    values *= patch.wander * np.sqrt(2 / WAVES)
+    return _Wander(scene.origin[0] - margin, scene.origin[1] - margin, step, values)

@@ -1,0 +1,302 @@
+"""A simulated survey on disk: tiles, navigation, truth and a survey file ready to run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyproj
+import rasterio
+import yaml
+from affine import Affine
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError
+from sasmap.products.files import write_text, written_whole
+from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
+from sasmap.simulate.image import NODATA, record, track_line
+from sasmap.simulate.scene import Scene, ScenePass
+from sasmap.simulate.seafloor import SeaFloor
+
+FloatArray = NDArray[np.float64]
+
+PING_SPACING = 0.5
+# A truth pixel is this many of the scene's.
+TRUTH_PIXELS = 10
+# Okabe and Ito's colours, told apart by colour-blind readers.
+CLASS_COLOURS = (
+    (230, 159, 0),
+    (86, 180, 233),
+    (0, 158, 115),
+    (240, 228, 66),
+    (0, 114, 178),
+    (213, 94, 0),
+    (204, 121, 167),
+)
+
+
+class Raster(NamedTuple):
+    """Where a raster lies."""
+
+    transform: Affine
+    rows: int
+    columns: int
+
+
+def simulate(scene: Scene, output: str | Path) -> list[Path]:
+    """Simulate a scene and write it as a survey.
+
+    Parameters
+    ----------
+    scene : Scene
+        From :func:`sasmap.simulate.load_scene`.
+    output : str or Path
+        Folder; made if missing. The same scene gives the same bytes.
+
+    Returns
+    -------
+    list of Path
+        What was written: tiles in a folder a pass, a navigation CSV a pass, ``truth/`` (GeoTIFFs of
+        ripple frequency, height, azimuth and sediment class; GeoJSON of class boundaries) and
+        ``survey.yaml``.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be made.
+    """
+    folder = Path(output)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
+    scratch = folder / ".sasmap-simulate"
+    floor = SeaFloor(scene)
+    written = []
+    for k, scene_pass in enumerate(scene.passes):
+        written += _write_tiles(scene, floor, scene_pass, k, folder, scratch)
+        written.append(folder / f"{scene_pass.name}.csv")
+        write_text(written[-1], _navigation(scene, scene_pass), scratch)
+    written += _write_truth(scene, floor, folder / "truth", scratch)
+    written.append(folder / "survey.yaml")
+    write_text(written[-1], _survey(scene), scratch)
+    scratch.rmdir()
+    return written
+
+
+def pass_raster(scene: Scene, scene_pass: ScenePass) -> Raster:
+    """Lay a pass's pixels over the scene, rotated as the pass says."""
+    pixel = scene_pass.pixel_size or scene.pixel_size
+    angle = np.radians(scene_pass.rotation)
+    c, s = np.cos(angle), np.sin(angle)
+    altitude = scene_pass.altitude
+    reach = 0.0
+    if scene_pass.range == "slant":  # slant range shows the sea floor farther from the track
+        reach = max(altitude) if isinstance(altitude, tuple) else altitude
+    east, north = scene.size[0] + 2 * reach, scene.size[1] + 2 * reach
+    width = abs(c) * east + abs(s) * north
+    height = abs(s) * east + abs(c) * north
+    columns, rows = (int(np.ceil(v / pixel - 1e-6)) for v in (width, height))
+    if scene_pass.rotation == 0:
+        corner_x, corner_y = scene.origin[0] - reach, scene.origin[1] + scene.size[1] + reach
+    else:
+        half_x, half_y = columns * pixel / 2, rows * pixel / 2
+        corner_x = scene.centre[0] - half_x * c + half_y * s
+        corner_y = scene.centre[1] + half_x * s + half_y * c
+    transform = Affine(pixel * c, -pixel * s, corner_x, -pixel * s, -pixel * c, corner_y)
+    return Raster(transform, rows, columns)
+
+
+def _write_tiles(
+    scene: Scene, floor: SeaFloor, scene_pass: ScenePass, k: int, folder: Path, scratch: Path
+) -> list[Path]:
+    whole = pass_raster(scene, scene_pass)
+    side = scene_pass.tile
+    written = []
+    for i, top in enumerate(range(0, whole.rows, side)):
+        for j, left in enumerate(range(0, whole.columns, side)):
+            transform = whole.transform * Affine.translation(left, top)
+            shape = min(side, whole.rows - top), min(side, whole.columns - left)
+            rng = np.random.default_rng(np.random.SeedSequence([scene.seed, k, i, j]))
+            pixels = record(scene, floor, scene_pass, transform, shape, rng)
+            nodata = NODATA[scene_pass.dtype]
+            valid = ~np.isnan(pixels) if np.isnan(nodata) else pixels != nodata
+            if valid.any():
+                path = folder / scene_pass.name / f"{scene_pass.name}_r{i}_c{j}.tif"
+                _write_tile(path, pixels, transform, scene, nodata, scratch)
+                written.append(path)
+    return written
+
+
+def _write_tile(
+    path: Path,
+    pixels: NDArray[np.generic],
+    transform: Affine,
+    scene: Scene,
+    nodata: float,
+    scratch: Path,
+) -> None:
+    profile: dict[str, Any] = {
+        "driver": "GTiff",
+        "dtype": pixels.dtype.name,
+        "count": 1,
+        "height": pixels.shape[0],
+        "width": pixels.shape[1],
+        "crs": scene.crs,
+        "transform": transform,
+        "nodata": nodata,
+        "compress": "deflate",
+        "tiled": True,
+        "blockxsize": 256,
+        "blockysize": 256,
+    }
+    with written_whole(path, scratch) as part, rasterio.open(part, "w", **profile) as target:
+        target.write(pixels, 1)
+        target.set_band_description(1, "amplitude")
+
+
+def _navigation(scene: Scene, scene_pass: ScenePass) -> str:
+    line = track_line(scene, scene_pass)
+    pings = int(np.ceil(line.length / PING_SPACING)) + 1
+    along = np.linspace(0, line.length, pings)
+    x, y = line.point(along, np.zeros(pings))
+    names, digits = ("x", "y"), 4
+    if scene_pass.positions == "geographic":
+        geographic = pyproj.Transformer.from_crs(scene.crs, "EPSG:4326", always_xy=True)
+        x, y = geographic.transform(x, y)
+        names, digits = ("longitude", "latitude"), 9
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("ping", *names, "heading", "altitude"))
+    for ping, values in enumerate(zip(x, y, line.altitude_at(along), strict=True)):
+        px, py, altitude = values
+        heading = f"{scene_pass.heading % 360:.2f}"
+        rows.writerow((ping, f"{px:.{digits}f}", f"{py:.{digits}f}", heading, f"{altitude:.4f}"))
+    return text.getvalue()
+
+
+def _write_truth(scene: Scene, floor: SeaFloor, folder: Path, scratch: Path) -> list[Path]:
+    pixel = TRUTH_PIXELS * scene.pixel_size
+    columns, rows = (max(1, int(np.ceil(v / pixel - 1e-6))) for v in scene.size)
+    top = scene.origin[1] + scene.size[1]
+    transform = Affine(pixel, 0, scene.origin[0], 0, -pixel, top)
+    x, y = np.meshgrid(
+        scene.origin[0] + pixel * (np.arange(columns) + 0.5), top - pixel * (np.arange(rows) + 0.5)
+    )
+    waves = floor.waves(x, y)
+    none = waves.height == 0
+    frequency = np.hypot(waves.east, waves.north)
+    azimuth = np.degrees(np.arctan2(waves.east, waves.north)) % 180.0
+    layers: dict[str, tuple[NDArray[Any], Layer]] = {
+        "ripple_frequency": (frequency, float_layer(["ripple frequency"], ["cycles/m"])),
+        "ripple_height": (waves.height, float_layer(["ripple height A_H"], ["m"])),
+        "ripple_azimuth": (azimuth, float_layer(["azimuth of the crest normal"], ["degrees"])),
+    }
+    crs = pyproj.CRS.from_user_input(scene.crs).to_wkt()
+    written = []
+    for name, (values, layer) in layers.items():
+        written.append(folder / f"{name}.tif")
+        write_cog(
+            written[-1], as_bands(np.where(none, np.nan, values)), layer, transform, crs, scratch
+        )
+    written.append(folder / "sediment_class.tif")
+    classes = as_bands(floor.sediment(x, y) + 1)
+    write_cog(written[-1], classes, _class_layer(scene), transform, crs, scratch)
+    written.append(folder / "boundaries.geojson")
+    write_text(written[-1], json.dumps(_boundaries(scene, floor), indent=1) + "\n", scratch)
+    return written
+
+
+def _class_layer(scene: Scene) -> Layer:
+    categories = {0: Category("no data", (0, 0, 0, 0))}
+    for k, sediment in enumerate(scene.sediments):
+        colour = (*CLASS_COLOURS[k % len(CLASS_COLOURS)], 255)
+        categories[k + 1] = Category(sediment.name, colour)
+    return Layer(["sediment class"], [""], 0, "uint8", categories)
+
+
+def _boundaries(scene: Scene, floor: SeaFloor) -> dict[str, Any]:
+    """Visible parts of the sediments' outlines, with the class on either side."""
+    features = []
+    for polygon in floor.outlines:
+        for line, left, right in _visible(scene, floor, polygon):
+            features.append(
+                {
+                    "type": "Feature",
+                    "properties": {
+                        "left": scene.sediments[left].name,
+                        "right": scene.sediments[right].name,
+                    },
+                    "geometry": {"type": "LineString", "coordinates": np.round(line, 4).tolist()},
+                }
+            )
+    crs = pyproj.CRS.from_user_input(scene.crs)
+    name = "::".join(crs.to_authority() or ("OGC", "CRS84"))
+    return {
+        "type": "FeatureCollection",
+        "name": "boundaries",
+        "crs": {"type": "name", "properties": {"name": f"urn:ogc:def:crs:{name}"}},
+        "features": features,
+    }
+
+
+def _visible(
+    scene: Scene, floor: SeaFloor, polygon: FloatArray
+) -> list[tuple[FloatArray, int, int]]:
+    """Cut an outline into runs that lie in the scene between the same two classes."""
+    step = scene.pixel_size
+    runs: list[tuple[FloatArray, int, int]] = []
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        length = float(np.hypot(*(end - start)))
+        if length == 0:
+            continue
+        pieces = max(1, int(np.ceil(length / step)))
+        cuts = start + (end - start) * np.linspace(0, 1, pieces + 1)[:, None]
+        middle = (cuts[:-1] + cuts[1:]) / 2
+        normal = np.array([-(end - start)[1], (end - start)[0]]) / length * 1e-3 * step
+        left = floor.sediment(*(middle + normal).T)
+        right = floor.sediment(*(middle - normal).T)
+        inside = np.all((middle >= scene.origin) & (middle <= np.add(scene.origin, scene.size)), 1)
+        key = np.where(inside & (left != right), left * 1000 + right, -1)
+        for run in np.split(np.arange(pieces), np.flatnonzero(np.diff(key)) + 1):
+            if key[run[0]] >= 0:
+                line = cuts[[run[0], run[-1] + 1]]
+                runs.append((line, int(left[run[0]]), int(right[run[0]])))
+    return _joined(runs)
+
+
+def _joined(runs: list[tuple[FloatArray, int, int]]) -> list[tuple[FloatArray, int, int]]:
+    joined: list[tuple[FloatArray, int, int]] = []
+    for line, left, right in runs:
+        if joined and joined[-1][1:] == (left, right) and np.array_equal(joined[-1][0][-1], line[0]):
+            joined[-1] = (np.vstack([joined[-1][0], line[1:]]), left, right)
+        else:
+            joined.append((line, left, right))
+    return joined
+
+
+def _survey(scene: Scene) -> str:
+    content = {
+        "name": scene.name,
+        "output": "out",
+        "crs": scene.crs,
+        "window": scene.window,
+        "seed": scene.seed,
+        "passes": [
+            {
+                "name": p.name,
+                "tiles": [f"{p.name}/*.tif"],
+                "navigation": f"{p.name}.csv",
+                "side": p.side,
+                "range": p.range,
+            }
+            for p in scene.passes
+        ],
+        "ripples": {"method": "default", "shadow": scene.shadow},
+        "sediments": {"classes": "auto"},
+    }
+    return yaml.safe_dump(content, sort_keys=False)

@@ -1,0 +1,86 @@
+"""Finished work in the output folder: kept under a key of everything it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from sasmap.products.files import write_text
+from sasmap.ripples.passes import Summary
+from sasmap.ripples.posterior import LeftOut, Quality
+
+FOLDER = ".sasmap"
+
+
+@dataclass(frozen=True)
+class Store:
+    """Finished looks at cells, a small JSON file each, written whole or not at all.
+
+    Attributes
+    ----------
+    output : Path
+        The survey's output folder.
+    """
+
+    output: Path
+
+    @property
+    def scratch(self) -> Path:
+        """Folder of unfinished files; never read, emptied by the next run."""
+        return self.output / FOLDER / "unfinished"
+
+    def path(self, key: str) -> Path:
+        """Where the result under a key is kept."""
+        return self.output / FOLDER / "cells" / key[:2] / f"{key}.json"
+
+    def load(self, key: str) -> Summary | None:
+        """Return the finished result under a key, or None."""
+        try:
+            content = json.loads(self.path(key).read_text(encoding="utf-8"))
+            return _summary(content)
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+
+    def save(self, key: str, summary: Summary) -> None:
+        """Keep a finished result."""
+        write_text(self.path(key), json.dumps(asdict(summary)), self.scratch)
+
+    def clear(self) -> None:
+        """Forget all finished work."""
+        for path in (self.output / FOLDER / "cells").glob("*/*.json"):
+            path.unlink(missing_ok=True)
+
+    def remove_leftovers(self) -> None:
+        """Remove what an interrupted run left unfinished."""
+        for path in self.scratch.glob("*.part"):
+            path.unlink(missing_ok=True)
+
+
+def _summary(content: dict[str, Any]) -> Summary:
+    if set(content) != {f.name for f in fields(Summary)}:
+        raise ValueError("not a summary of this version")
+    pairs = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
+    pairs["quality"] = Quality(content["quality"])
+    pairs["left_out"] = LeftOut(content["left_out"])
+    return Summary(**pairs)
+
+
+def digest(content: Any) -> str:
+    """Return the SHA-256 of a JSON value, in hexadecimal."""
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def code_version() -> str:
+    """Version of sasmap and a hash of its source: other code may give other results."""
+    state = hashlib.sha256()
+    root = Path(__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        state.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return f"{importlib.metadata.version('sasmap')}+{state.hexdigest()[:12]}"
