@@ -45,8 +45,9 @@ class PassSettings(_Block):
         description="CSV: altitude and either longitude, latitude or x, y; one row a ping"
     )
     navigation_crs: str | None = Field(
-        None, description="CRS of the navigation; default WGS 84 for longitude, latitude, "
-        "the first tile's for x, y"
+        None,
+        description="CRS of the navigation; default WGS 84 for longitude, latitude, "
+        "the first tile's for x, y",
     )
     side: Literal["port", "starboard", "both"]
     range: Literal["ground", "slant"] = Field(
@@ -173,7 +174,11 @@ def fault_lines(model: type[BaseModel], error: ValidationError, path: Path) -> l
     lines = []
     for detail in error.errors(include_url=False):
         key = _key(detail["loc"])
-        text = f"{path}: {key}: {_message(model, detail)}" if key else f"{path}: {_message(model, detail)}"
+        text = (
+            f"{path}: {key}: {_message(model, detail)}"
+            if key
+            else f"{path}: {_message(model, detail)}"
+        )
         lines.append(" ".join(text.split()))
     return list(dict.fromkeys(lines))
 

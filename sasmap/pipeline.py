@@ -239,7 +239,9 @@ def _estimate_cells(
             earlier.append(tasks[cell, k])
     total = len(tasks)
     log.info("%d cells, %d looks at them", len(plan.cells), total)
-    done = dict(zip(tasks, _compute(list(tasks.values()), workers, scheduler, progress), strict=True))
+    done = dict(
+        zip(tasks, _compute(list(tasks.values()), workers, scheduler, progress), strict=True)
+    )
     for cell, looks in plan.cells.items():
         summaries: list[Summary | None] = [None] * len(plan.looks)
         for k in looks:
@@ -250,7 +252,7 @@ def _estimate_cells(
             if result.fault is not None:
                 summaries[k] = Summary(Quality.FAILED, LeftOut(0))
                 outcome.failures.append(_failure(cell, plan.looks[k], result.fault))
-        outcome.cells[tuple(cell)] = summaries
+        outcome.cells[cell.row, cell.column] = summaries
 
 
 def _failure(cell: Cell, look: Look, fault: str) -> dict[str, Any]:
@@ -308,9 +310,7 @@ class _Context(NamedTuple):
     store: Store
 
 
-def _run_look(
-    context: _Context, cell: Cell, k: int, earlier: list[LookResult]
-) -> LookResult:
+def _run_look(context: _Context, cell: Cell, k: int, earlier: list[LookResult]) -> LookResult:
     """Estimate one look at one cell, or take its finished result. Never raises."""
     try:
         return _look(context, cell, k, [r.summary for r in earlier if r.summary is not None])

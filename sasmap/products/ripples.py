@@ -191,7 +191,7 @@ def _field(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float
 
 
 def _centres(origin: float, step: float, n: int) -> NDArray[np.float64]:
-    return origin + step * (np.arange(n) + 0.5)
+    return np.asarray(origin + step * (np.arange(n) + 0.5), np.float64)
 
 
 def _axis(name: str) -> dict[str, str]:

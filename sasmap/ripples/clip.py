@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,10 @@ STRIPS = 16
 # its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as proof of
 # a noise floor of nothing.
 DYNAMIC_RANGE = 1e-3
-# Altitude across the look is followed by strips where it varies by more than this fraction.
-ALTITUDE_VARIATION = 0.005
+# Bins that altitude may move a shadow's edge by within a strip.
+EDGE_SHIFT = 0.5
+# Bins by which range at the same u may vary within a strip.
+RANGE_VARIATION = 2.0
 
 
 @dataclass(frozen=True)
@@ -150,31 +152,44 @@ class BinnedClip:
         """Extent along the look, m."""
         return self.step * self.count.shape[1]
 
-    def pooled(self) -> BinnedClip:
-        """Merge all strips where range and altitude hardly differ between them."""
-        middle = self.altitude0 + 0.0
-        spread = np.ptp(middle) / np.mean(middle) if middle.size > 1 else 0.0
-        if spread > ALTITUDE_VARIATION or np.ptp(self.range0) > 0.25 * self.step + 1e-3 * np.mean(
-            self.range0
-        ):
-            return self
+    @property
+    def altitude_variation(self) -> float:
+        """Altitude's variation across the look over its mean."""
+        return float(np.ptp(self.altitude0) / np.mean(self.altitude0))
+
+    def pooled(self, wavelength: float) -> BinnedClip:
+        """Merge neighbouring strips where the merged ones see alike.
+
+        Parameters
+        ----------
+        wavelength : float
+            m. Altitude stretches a shadow, which is no longer than this, in proportion.
+
+        Returns
+        -------
+        BinnedClip
+            With strips within which no shadow edge moves by more than about half a bin.
+        """
+        spread = self.altitude_variation * wavelength / (EDGE_SHIFT * self.step)
+        bend = np.ptp(self.range0) / (RANGE_VARIATION * self.step)
+        strips = int(np.clip(np.ceil(max(spread, bend)), 1, len(self.count)))
+        group = np.arange(len(self.count)) * strips // len(self.count)
         weight = self.count.sum(axis=1)
 
-        def mean(values: FloatArray) -> FloatArray:
-            return np.array([np.average(values, weights=weight)])
+        def summed(values: FloatArray) -> FloatArray:
+            return np.add.reduceat(values, np.flatnonzero(np.diff(group, prepend=-1)), axis=0)
 
-        return BinnedClip(
-            self.count.sum(axis=0, keepdims=True),
-            self.total.sum(axis=0, keepdims=True),
-            self.start,
-            self.step,
-            mean(self.range0),
-            mean(self.range_slope),
-            mean(self.altitude0),
-            mean(self.altitude_slope),
-            self.spread,
-            self.azimuth,
-            self.mean_power,
+        def mean(values: FloatArray) -> FloatArray:
+            return np.asarray(summed(weight * values) / summed(weight))
+
+        return replace(
+            self,
+            count=summed(self.count),
+            total=summed(self.total),
+            range0=mean(self.range0),
+            range_slope=mean(self.range_slope),
+            altitude0=mean(self.altitude0),
+            altitude_slope=mean(self.altitude_slope),
         )
 
 

@@ -80,7 +80,8 @@ def _default(
     if not peaks.size:
         return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING)
     shadow = settings.shadow if _can_cast_shadow(binned, prior) else "none"
-    data = speckle_data(binned.pooled(), shadow)
+    pooled = binned.pooled(1 / float(found.frequency[peaks[0]]))
+    data = speckle_data(pooled, shadow, binned.altitude_variation)
     compiled = prior.compiled()
     population = cooled_population(found, peaks, data, prior, rng)
     proposal = learn_proposal(population.particles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +67,7 @@ def summarise(posterior: Posterior) -> Summary:
     q05, q95 = (tuple(float(np.quantile(d, p)) for d in draws) for p in (0.05, 0.95))
     spread = [float(d.std(ddof=1)) for d in draws]
     both = all(s > 0 for s in spread)
-    correlation = float(np.corrcoef(*(d.ravel() for d in draws))[0, 1]) if both else 0.0
+    correlation = float(np.corrcoef(draws[0].ravel(), draws[1].ravel())[0, 1]) if both else 0.0
     return Summary(
         posterior.quality,
         posterior.left_out,
@@ -86,9 +86,9 @@ def summarise(posterior: Posterior) -> Summary:
     )
 
 
-def _pair(values: object) -> tuple[float, float]:
-    first, second = values  # type: ignore[misc, attr-defined]
-    return float(first), float(second)
+def _pair(values: Iterable[float]) -> tuple[float, float]:
+    first, second = (float(v) for v in values)
+    return first, second
 
 
 def next_prior(earlier: Sequence[Summary], settings: RippleSettings) -> Prior:

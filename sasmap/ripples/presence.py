@@ -78,9 +78,7 @@ def spectrum(binned: BinnedClip, bounds: tuple[float, float]) -> Spectrum | None
     strips = len(amplitudes)
     scatter = np.mean(np.abs(amplitudes - mean) ** 2, axis=0) + 1e-300
     agreement = (strips - 1) * power / scatter
-    return Spectrum(
-        frequency, power, agreement, power / _background(power), np.angle(mean), strips
-    )
+    return Spectrum(frequency, power, agreement, power / _background(power), np.angle(mean), strips)
 
 
 def _detrended(count: FloatArray, total: FloatArray) -> FloatArray:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from sasmap.ripples.clip import Clip, bin_clip
-from sasmap.ripples.likelihood import Prior, PriorData
+from sasmap.ripples.kernel import PriorData
+from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.scattering import SIGMA_VARIANCE
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +32,7 @@ ITERATIONS = 4000
 class PublishedData(NamedTuple):
     """Sufficient statistics of the Gaussian likelihood, one value a range bin."""
 
-    count: FloatArray
+    pixels: FloatArray
     mean: FloatArray
     ground_range: FloatArray
     altitude: FloatArray
@@ -85,7 +86,7 @@ def initial(data: PublishedData, image: FloatArray, prior: PriorData) -> FloatAr
     frequency = np.fft.rfftfreq(data.mean.size, step)
     peak = frequency[1 + int(np.argmax(power[1:]))]
     rms = np.sqrt(np.nanmean(image**2))
-    return np.clip(np.array([peak, rms]), prior.lower, prior.upper)
+    return np.asarray(np.clip(np.array([peak, rms]), prior.lower, prior.upper))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -120,7 +121,7 @@ def published_log_posterior(theta, data, prior):  # type: ignore[no-untyped-def]
         value -= 0.5 * prior.precision[i, i] * (theta[i] - prior.mean[i]) ** 2
     model = published_amplitude(theta[0], theta[1], data)
     for i in range(model.size):
-        value -= 0.5 * data.count[i] * (data.mean[i] - model[i]) ** 2
+        value -= 0.5 * data.pixels[i] * (data.mean[i] - model[i]) ** 2
     return value
 
 

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.likelihood import (
+from sasmap.ripples.kernel import (
     NOISE_BOUNDS,
-    Prior,
     PriorData,
     SpeckleData,
     log_likelihood,
-    log_prior,
+    move_population,
+    scan_grid,
 )
+from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.presence import Spectrum
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +72,7 @@ def cooled_population(
     heights = _heights(prior.bounds[1])
     phases = 2 * np.pi * np.arange(PHASES) / PHASES
     table = np.empty((frequencies.size * heights.size * PHASES, 5))
-    _scan(frequencies, heights, phases, NOISE, data, compiled, table)
+    scan_grid(frequencies, heights, phases, NOISE, data, compiled, table)
     table = table[np.isfinite(table[:, 4])]
     cold = _next_power(table[:, 4], 0.0, min(FIRST_SHARE, 30.0 / len(table)))
     weight = np.exp(cold * (table[:, 4] - table[:, 4].max()))
@@ -93,7 +93,7 @@ def _cool(
     scale = 1.0
     for _ in range(MAX_STAGES):
         factor = _spread(particles)
-        accepted = _move(particles, level, power, scale * factor, MOVES, data, prior, rng)
+        accepted = move_population(particles, level, power, scale * factor, MOVES, data, prior, rng)
         scale = float(np.clip(scale * np.exp(2 * (accepted - 0.3)), 1e-3, 2.0))
         if power >= 1.0:
             break
@@ -119,20 +119,6 @@ def _frequencies(
 def _heights(bounds: tuple[float, float]) -> FloatArray:
     low, high = bounds
     return np.geomspace(max(low, 2e-3 * high), high, HEIGHTS)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _scan(frequencies, heights, phases, noise, data, prior, table):  # type: ignore[no-untyped-def]
-    row = 0
-    theta = np.empty(4)
-    theta[3] = noise
-    for f in frequencies:
-        for height in heights:
-            for b in phases:
-                theta[0], theta[1], theta[2] = f, height, b
-                table[row, :4] = theta
-                table[row, 4] = log_likelihood(theta, data) + log_prior(theta, prior)
-                row += 1
 
 
 def _jittered(
@@ -185,33 +171,3 @@ def _spread(particles: FloatArray) -> FloatArray:
     scaled = (particles - particles.mean(axis=0)) / sd
     correlation = scaled.T @ scaled / len(particles) + 1e-6 * np.eye(particles.shape[1])
     return np.asarray(sd[:, None] * np.linalg.cholesky(correlation))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _move(particles, level, power, factor, moves, data, prior, rng):  # type: ignore[no-untyped-def]
-    n, size = particles.shape
-    accepted = 0
-    proposed = np.empty(size)
-    normal = np.empty(size)
-    for k in range(n):
-        before = log_prior(particles[k], prior)
-        for _ in range(moves):
-            # steps of several sizes: one covariance does not fit all modes
-            scale = 1.2 * 10.0 ** (-1.5 * rng.random())
-            for i in range(size):
-                normal[i] = rng.normal()
-            for i in range(size):
-                proposed[i] = particles[k, i]
-                for j in range(i + 1):
-                    proposed[i] += scale * factor[i, j] * normal[j]
-            after = log_prior(proposed, prior)
-            if after == -np.inf:
-                continue
-            candidate = log_likelihood(proposed, data)
-            gain = power * (candidate - level[k]) + after - before
-            if np.log(rng.random()) < gain:
-                particles[k] = proposed
-                level[k] = candidate
-                before = after
-                accepted += 1
-    return accepted / (n * moves)

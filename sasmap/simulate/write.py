@@ -272,7 +272,11 @@ def _visible(
 def _joined(runs: list[tuple[FloatArray, int, int]]) -> list[tuple[FloatArray, int, int]]:
     joined: list[tuple[FloatArray, int, int]] = []
     for line, left, right in runs:
-        if joined and joined[-1][1:] == (left, right) and np.array_equal(joined[-1][0][-1], line[0]):
+        if (
+            joined
+            and joined[-1][1:] == (left, right)
+            and np.array_equal(joined[-1][0][-1], line[0])
+        ):
             joined[-1] = (np.vstack([joined[-1][0], line[1:]]), left, right)
         else:
             joined.append((line, left, right))

@@ -101,7 +101,9 @@ def transform_points(
 def outline(window: Window, lattice: Lattice, points: int = 5) -> tuple[FloatArray, FloatArray]:
     """Return map points around a window's edge, ``points`` to a side, corners included."""
     s = np.linspace(0.0, 1.0, points)
-    columns = window.column + window.width * np.concatenate([s, np.ones(points), s, np.zeros(points)])
+    columns = window.column + window.width * np.concatenate(
+        [s, np.ones(points), s, np.zeros(points)]
+    )
     rows = window.row + window.height * np.concatenate([np.zeros(points), s, np.ones(points), s])
     t = lattice.transform
     return t.c + t.a * columns + t.b * rows, t.f + t.d * columns + t.e * rows

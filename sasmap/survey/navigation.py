@@ -89,7 +89,9 @@ class Track:
         ends = []
         for v in (self.x, self.y):
             ends.append(
-                np.concatenate([[v[0] - first * (v[1] - v[0])], v, [v[-1] + last * (v[-1] - v[-2])]])
+                np.concatenate(
+                    [[v[0] - first * (v[1] - v[0])], v, [v[-1] + last * (v[-1] - v[-2])]]
+                )
             )
         altitude = np.concatenate([self.altitude[:1], self.altitude, self.altitude[-1:]])
         return ends[0], ends[1], altitude

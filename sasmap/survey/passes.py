@@ -138,7 +138,9 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
     for pattern in settings.tiles:
         found = find_tiles(survey.path.parent, pattern)
         if not found:
-            faults.append(f"{survey.path}: passes.{settings.name}.tiles: no file matches {pattern!r}")
+            faults.append(
+                f"{survey.path}: passes.{settings.name}.tiles: no file matches {pattern!r}"
+            )
         paths.extend(found)
     for path in dict.fromkeys(paths):
         try:
@@ -168,14 +170,10 @@ def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
     return wkt
 
 
-def _open(
-    survey: Survey, settings: PassSettings, tiles: tuple[Tile, ...], crs: str
-) -> SonarPass:
+def _open(survey: Survey, settings: PassSettings, tiles: tuple[Tile, ...], crs: str) -> SonarPass:
     path = survey.resolve(settings.navigation)
     track = read_navigation(path, crs, tiles[0].lattice.crs, settings.navigation_crs)
-    sides: tuple[Side, ...] = (
-        ("port", "starboard") if settings.side == "both" else (settings.side,)
-    )
+    sides: tuple[Side, ...] = ("port", "starboard") if settings.side == "both" else (settings.side,)
     found = SonarPass(settings.name, tiles, track, sides, settings.range == "slant", path)
     faults = [fault for tile in tiles for fault in _check_seen(found, tile, crs)]
     if faults:
@@ -207,7 +205,9 @@ def _check_seen(sonar_pass: SonarPass, tile: Tile, crs: str) -> list[str]:
         wanted |= near & (seen.starboard == (side == "starboard"))
     if not wanted.any():
         other = "port" if sonar_pass.sides == ("starboard",) else "starboard"
-        return [f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}"]
+        return [
+            f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}"
+        ]
     return []
 
 
@@ -227,9 +227,7 @@ def _check_pixels(sonar_pass: SonarPass) -> list[str]:
     return [f"{tile.path}: holds no valid pixel" for tile in empty]
 
 
-def view(
-    sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window
-) -> dict[str, Any]:
+def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> dict[str, Any]:
     """Compute where a window's pixels are and how the sonar saw them.
 
     Parameters
@@ -380,9 +378,7 @@ def covers(sonar_pass: SonarPass, grid: CellGrid, cell: Cell) -> tuple[Tile, ...
     return tuple(met)
 
 
-def read_clip(
-    sonar_pass: SonarPass, grid: CellGrid, cell: Cell, side: Side
-) -> xr.DataArray | None:
+def read_clip(sonar_pass: SonarPass, grid: CellGrid, cell: Cell, side: Side) -> xr.DataArray | None:
     """Read what one side of a pass shows of a cell.
 
     The clip is on the lattice of the tile that covers most of the cell.

@@ -113,7 +113,9 @@ def _checked_crs(path: Path, source: rasterio.DatasetReader) -> str:
         raise InputError(f"{path}: geographic CRS {crs.name!r}: {advice} {_utm_of(source, crs)}")
     determinant = source.transform.determinant
     if source.transform == Affine.identity() or not np.isfinite(determinant) or determinant == 0:
-        raise InputError(f"{path}: no georeference: expected a GeoTIFF with a pixel size and origin")
+        raise InputError(
+            f"{path}: no georeference: expected a GeoTIFF with a pixel size and origin"
+        )
     return str(crs.to_wkt())
 
 
@@ -133,7 +135,9 @@ def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
     height, width = source.block_shapes[0]
     item = np.dtype(source.dtypes[0]).itemsize
     if height * width * item > MAX_BLOCK_BYTES:
-        raise InputError(f"{path}: blocks of {height} x {width} pixels are too large to read; tile it")
+        raise InputError(
+            f"{path}: blocks of {height} x {width} pixels are too large to read; tile it"
+        )
     total = source.height * source.width * item
     if total > 2**32 and total > MAX_EXPANSION * size:
         raise InputError(f"{path}: {size} bytes claim to hold {total}: refused as implausible")
