@@ -13,12 +13,13 @@ from sasmap.ripples.clip import BinnedClip
 FloatArray = NDArray[np.float64]
 
 # A clip must hold this many wavelengths, and a wavelength this many pixels, to show a ripple.
-MIN_WAVES = 3.0
+MIN_WAVES = 4.0
 MIN_PIXELS = 4.0
 FALSE_ALARM = 1e-3
 # A ripple's line stands this far above the spectrum around it; what is left of trends, beam
 # pattern and single objects does not.
 MIN_PEAK = 15.0
+HALF_CHANCE, HALF_STRENGTH = 0.01, 0.2
 OVERSAMPLING = 8
 
 
@@ -34,18 +35,19 @@ class Spectrum(NamedTuple):
     agreement : ndarray (n,)
         F statistic (2, 2 strips - 2) of the strips' common complex amplitude.
     peak : ndarray (n,)
-        Power over the local background.
-    phase : ndarray (n,)
-        Of cos(2 pi f u + phase), rad, at the clip's centre.
-    strips : int
+        Power over the local background; 0 below the lowest frequency searched.
+    profiles : ndarray (strips, bins)
+        What was transformed: intensity over its trend, less 1.
+    u : ndarray (bins,)
+        m along the look.
     """
 
     frequency: FloatArray
     power: FloatArray
     agreement: FloatArray
     peak: FloatArray
-    phase: FloatArray
-    strips: int
+    profiles: FloatArray
+    u: FloatArray
 
 
 def spectrum(binned: BinnedClip, bounds: tuple[float, float]) -> Spectrum | None:
@@ -66,19 +68,32 @@ def spectrum(binned: BinnedClip, bounds: tuple[float, float]) -> Spectrum | None
     """
     length, step = binned.length, binned.step
     low, high = max(bounds[0], MIN_WAVES / length), min(bounds[1], 1 / (MIN_PIXELS * step))
+    # the spectrum below the lowest ripple shows what trends and objects leave there
+    floor = 1 / length
     filled = binned.count.sum(axis=1) > 0.25 * binned.count.sum() / max(len(binned.count), 1)
     count, total = binned.count[filled], binned.total[filled]
     if high <= low or len(count) < 4 or total.sum() <= 0:
         return None
-    frequency, amplitudes = _strip_amplitudes(_detrended(count, total), binned, low, high)
+    profiles = _detrended(count, total)
+    frequency, amplitudes = _strip_amplitudes(profiles, binned, floor, high)
     if frequency.size < 3:
         return None
+    power = np.abs(amplitudes.mean(axis=0)) ** 2
+    agreement = _agreement(amplitudes)
+    peak = np.where(frequency >= low, power / _background(power), 0.0)
+    return Spectrum(frequency, power, agreement, peak, profiles, binned.centres)
+
+
+def _agreement(amplitudes: NDArray[np.complex128]) -> FloatArray:
+    """F statistic of a common complex amplitude of strips (first axis)."""
     mean = amplitudes.mean(axis=0)
-    power = np.abs(mean) ** 2
-    strips = len(amplitudes)
     scatter = np.mean(np.abs(amplitudes - mean) ** 2, axis=0) + 1e-300
-    agreement = (strips - 1) * power / scatter
-    return Spectrum(frequency, power, agreement, power / _background(power), np.angle(mean), strips)
+    return np.asarray((len(amplitudes) - 1) * np.abs(mean) ** 2 / scatter)
+
+
+def _chance(agreement: FloatArray, strips: int) -> FloatArray:
+    """Probability that strips without a ripple agree as well: the tail of F(2, 2 strips - 2)."""
+    return np.asarray((1 + agreement / (strips - 1)) ** (1.0 - strips))
 
 
 def _detrended(count: FloatArray, total: FloatArray) -> FloatArray:
@@ -87,12 +102,10 @@ def _detrended(count: FloatArray, total: FloatArray) -> FloatArray:
     profile = total.sum(axis=0) / np.maximum(count.sum(axis=0), 1)
     used = count.sum(axis=0) > 0
     u = np.linspace(-1, 1, bins)
-    floor = 1e-3 * profile[used].mean()
     degree = min(4, int(used.sum()) - 1)
-    fit = np.polynomial.Polynomial.fit(
-        u[used], np.log(np.maximum(profile[used], floor)), degree, domain=[-1, 1]
-    )
-    trend = np.exp(np.clip(fit(u), np.log(floor), None))
+    # of the intensity, not its log: shadows would bend that
+    fit = np.polynomial.Polynomial.fit(u[used], profile[used], degree, domain=[-1, 1])
+    trend = np.maximum(fit(u), 0.1 * profile[used].mean())
     value = np.where(count > 0, total / np.maximum(count, 1) / trend, 0.0)
     weight = count / max(count.max(), 1)
     mean = (weight * value).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
@@ -116,13 +129,18 @@ def _strip_amplitudes(
 
 
 def _background(power: FloatArray) -> FloatArray:
-    """Median power around each frequency, its own line left out."""
-    line, reach = 3 * OVERSAMPLING, 16 * OVERSAMPLING
-    background = np.empty_like(power)
+    """Power around each frequency, its own line left out: the larger of both sides' medians.
+
+    The spectrum of trends and objects falls with frequency; the median of both sides together
+    would let its low end pass as a peak.
+    """
+    line, reach = 2 * OVERSAMPLING, 16 * OVERSAMPLING
+    background = np.full(power.size, power.mean())
     for i in range(power.size):
-        low, high = max(i - reach, 0), min(i + reach, power.size)
-        around = np.concatenate([power[low : max(i - line, 0)], power[i + line : high]])
-        background[i] = np.median(around) / np.log(2) if around.size >= line else power.mean()
+        sides = (power[max(i - reach, 0) : max(i - line, 0)], power[i + line : i + reach])
+        levels = [np.median(side) / np.log(2) for side in sides if side.size >= line]
+        if levels:
+            background[i] = max(levels)
     return np.maximum(background, 1e-300)
 
 
@@ -130,12 +148,28 @@ def ripple_peaks(found: Spectrum, most: int = 3) -> NDArray[np.int64]:
     """Return the strongest peaks (indices into the spectrum) that pass as ripples, best first.
 
     A peak passes where its strips agree beyond chance over all frequencies searched
-    (probability 1e-3) and it stands out of the spectrum around it.
+    (probability 1e-3), it stands out of the spectrum around it, and both halves of the clip along
+    the look show it.
     """
+    strips = len(found.profiles)
     trials = max(found.frequency.size / OVERSAMPLING, 1.0)
-    freedom = found.strips - 1
-    chance = (1 + found.agreement / freedom) ** (-freedom)
-    passed = (chance * trials < FALSE_ALARM) & (found.peak > MIN_PEAK)
+    passed = (_chance(found.agreement, strips) * trials < FALSE_ALARM) & (found.peak > MIN_PEAK)
+    passed[[0, -1]] = False
     passed[1:-1] &= (found.power[1:-1] >= found.power[:-2]) & (found.power[1:-1] >= found.power[2:])
     index = np.flatnonzero(passed)
-    return index[np.argsort(-found.power[index], kind="stable")][:most]
+    index = index[np.argsort(-found.power[index], kind="stable")]
+    return np.array([i for i in index if _in_both_halves(found, i)][:most], np.int64)
+
+
+def _in_both_halves(found: Spectrum, index: int) -> bool:
+    """Whether the near and the far half of the clip each show the wave: an edge does not."""
+    bins = found.u.size
+    strengths = []
+    for part in (slice(0, bins // 2), slice(bins // 2, bins)):
+        wave = np.exp(-2j * np.pi * found.frequency[index] * found.u[part])
+        wave = wave * np.sin(np.pi * (np.arange(wave.size) + 0.5) / wave.size) ** 2
+        amplitudes = (found.profiles[:, part] * wave).sum(axis=1, keepdims=True)
+        if _chance(_agreement(amplitudes), len(amplitudes))[0] > HALF_CHANCE:
+            return False
+        strengths.append(abs(amplitudes.mean()))
+    return bool(min(strengths) > HALF_STRENGTH * max(strengths))

@@ -22,7 +22,7 @@ from sasmap.ripples.kernel import (
     scan_grid,
 )
 from sasmap.ripples.likelihood import Prior
-from sasmap.ripples.presence import Spectrum
+from sasmap.ripples.presence import MIN_WAVES, Spectrum
 
 FloatArray = NDArray[np.float64]
 
@@ -113,7 +113,8 @@ def _frequencies(
     if np.isfinite(prior.sd[0]):
         centres.append(prior.mean[0])
     around = np.add.outer(centres, step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])).ravel()
-    return np.unique(np.clip(around, low, high)), step / 2
+    longest = MIN_WAVES / (found.u[-1] - found.u[0])
+    return np.unique(np.clip(around, max(low, min(longest, high)), high)), step / 2
 
 
 def _heights(bounds: tuple[float, float]) -> FloatArray:
