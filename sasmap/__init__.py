@@ -3,7 +3,8 @@
 from sasmap import ripples
 from sasmap.config import load_survey
 from sasmap.survey import open_pass
+from sasmap.version import VERSION
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 __all__ = ["load_survey", "open_pass", "ripples"]

@@ -27,6 +27,8 @@ from sasmap.yamlfile import load_yaml
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 
 
+_CLASSES = "expected auto, a number of at least 1, or a list of classes with training polygons"
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -172,15 +174,20 @@ def parse_model(model: type[Model], content: dict[str, Any], path: Path) -> Mode
 def fault_lines(model: type[BaseModel], error: ValidationError, path: Path) -> list[str]:
     """Turn pydantic's errors into lines ``file: key: what was expected``."""
     lines = []
-    for detail in error.errors(include_url=False):
+    details = error.errors(include_url=False)
+    for detail in details:
         key = _key(detail["loc"])
-        text = (
-            f"{path}: {key}: {_message(model, detail)}"
-            if key
-            else f"{path}: {_message(model, detail)}"
-        )
-        lines.append(" ".join(text.split()))
+        if detail["type"] == "too_short" and any(_inside(d, detail) for d in details):
+            continue  # its entries were refused, and say so themselves
+        if key.endswith("sediments.classes"):  # a fault for each kind of value it could have been
+            detail["type"], detail["msg"] = "value_error", _CLASSES
+        lines.append(" ".join(f"{path}: {f'{key}: ' if key else ''}{_message(model, detail)}".split()))
     return list(dict.fromkeys(lines))
+
+
+def _inside(one: ErrorDetails, other: ErrorDetails) -> bool:
+    depth = len(other["loc"])
+    return len(one["loc"]) > depth and one["loc"][:depth] == other["loc"]
 
 
 def survey_schema() -> str:
@@ -218,6 +225,10 @@ def _message(model: type[BaseModel], detail: ErrorDetails) -> str:
     message = detail["msg"].removeprefix("Value error, ")
     if kind == "value_error":
         return message
+    if kind in ("too_short", "too_long"):
+        length = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
+        return f"expected {'at least' if kind == 'too_short' else 'at most'} {length} entries"
+    message = message.replace("Input should be", "expected")
     return f"{message[0].lower()}{message[1:]}, got {_short(given)}"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
 from dataclasses import asdict, dataclass, fields
 from functools import cache
@@ -13,6 +12,7 @@ from typing import Any
 from sasmap.products.files import write_text
 from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.version import VERSION
 
 FOLDER = ".sasmap"
 
@@ -64,9 +64,7 @@ class Store:
 def _summary(content: dict[str, Any]) -> Summary:
     if set(content) != {f.name for f in fields(Summary)}:
         raise ValueError("not a summary of this version")
-    pairs: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in content.items()
-    }
+    pairs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
     pairs["quality"] = Quality(content["quality"])
     pairs["left_out"] = LeftOut(content["left_out"])
     return Summary(**pairs)
@@ -85,4 +83,4 @@ def code_version() -> str:
     root = Path(__file__).parent
     for path in sorted(root.rglob("*.py")):
         state.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
-    return f"{importlib.metadata.version('sasmap')}+{state.hexdigest()[:12]}"
+    return f"{VERSION}+{state.hexdigest()[:12]}"

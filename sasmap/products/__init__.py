@@ -1,0 +1,1 @@
+"""What a run leaves behind: rasters, tables, the run's own record."""

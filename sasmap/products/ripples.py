@@ -111,6 +111,8 @@ def write_ripple_rasters(
 
 def chosen_look(summaries: Sequence[Summary | None], settings: RippleSettings) -> int | None:
     """Index of the look whose chained posterior is the cell's product, or None."""
+    if any(s is not None and s.quality is Quality.FAILED for s in summaries):
+        return None
     present = [k for k, s in enumerate(summaries) if s is not None]
     found = [s for s in summaries if s is not None]
     index = used(found, settings)

@@ -101,19 +101,19 @@ def _pixel_size(x: FloatArray, y: FloatArray) -> float:
     steps = [np.hypot(np.diff(x, axis=i), np.diff(y, axis=i)).ravel() for i in (0, 1)]
     steps = [s[np.isfinite(s) & (s > 0)] for s in steps]
     known = [float(np.median(s)) for s in steps if s.size]
-    return float(np.sqrt(np.prod(known))) if len(known) == 2 else (known or [1.0])[0]
+    return float(np.sqrt(np.prod(known))) if len(known) == 2 else float((known or [1.0])[0])
 
 
 @dataclass(frozen=True)
 class BinnedClip:
     """Sums over bins: fine along the look (u), strips across it.
 
-    With one model value a bin, Gaussian and exponential likelihoods depend on the pixels only through
-    these sums (SCIENCE 3 "An exact shortcut").
+    With one model value a bin, Gaussian and exponential likelihoods depend on the pixels only
+    through these sums (SCIENCE 3 "An exact shortcut").
 
     Attributes
     ----------
-    count : ndarray (strips, bins)
+    pixels : ndarray (strips, bins)
         Pixels.
     total : ndarray (strips, bins)
         Sum of intensity over the clip's mean intensity.
@@ -122,15 +122,15 @@ class BinnedClip:
     range0, range_slope, altitude0, altitude_slope : ndarray (strips,)
         Ground range and altitude, m, linear in u.
     spread : float
-        Width over which a bin's pixels lie, in bins: 0 where each column of pixels is a bin, 1 where they
-        fill it.
+        Width over which a bin's pixels lie, in bins: 0 where each column of pixels is a bin, 1
+        where they fill it.
     azimuth : float
         Direction of u, the mean look, degrees clockwise from grid north.
     mean_power : float
         The clip's mean intensity over the square of its largest amplitude.
     """
 
-    count: FloatArray
+    pixels: FloatArray
     total: FloatArray
     start: float
     step: float
@@ -145,12 +145,12 @@ class BinnedClip:
     @property
     def centres(self) -> FloatArray:
         """U of the bin centres, m."""
-        return np.asarray(self.start + self.step * (np.arange(self.count.shape[1]) + 0.5))
+        return np.asarray(self.start + self.step * (np.arange(self.pixels.shape[1]) + 0.5))
 
     @property
     def length(self) -> float:
         """Extent along the look, m."""
-        return self.step * self.count.shape[1]
+        return float(self.step * self.pixels.shape[1])
 
     @property
     def altitude_variation(self) -> float:
@@ -172,9 +172,9 @@ class BinnedClip:
         """
         spread = self.altitude_variation * wavelength / (EDGE_SHIFT * self.step)
         bend = np.ptp(self.range0) / (RANGE_VARIATION * self.step)
-        strips = int(np.clip(np.ceil(max(spread, bend)), 1, len(self.count)))
-        group = np.arange(len(self.count)) * strips // len(self.count)
-        weight = self.count.sum(axis=1)
+        strips = int(np.clip(np.ceil(max(spread, bend)), 1, len(self.pixels)))
+        group = np.arange(len(self.pixels)) * strips // len(self.pixels)
+        weight = self.pixels.sum(axis=1)
 
         def summed(values: FloatArray) -> FloatArray:
             return np.add.reduceat(values, np.flatnonzero(np.diff(group, prepend=-1)), axis=0)
@@ -184,7 +184,7 @@ class BinnedClip:
 
         return replace(
             self,
-            count=summed(self.count),
+            pixels=summed(self.pixels),
             total=summed(self.total),
             range0=mean(self.range0),
             range_slope=mean(self.range_slope),
@@ -225,7 +225,7 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
     strip = np.minimum(((v - v.min()) / width * STRIPS).astype(np.int64), STRIPS - 1)
     index = strip * bins + column
 
-    def summed(weights: Any = None) -> FloatArray:
+    def summed(weights: Any = None) -> Any:
         flat = np.bincount(index, weights, STRIPS * bins)
         return flat.reshape(STRIPS, bins).astype(float)
 
@@ -233,8 +233,9 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
     floor = DYNAMIC_RANGE if values is None else 0.0
     count = summed()
     total = summed(power) + floor * count
+    centres = np.asarray(start + step * (np.arange(bins) + 0.5), float)
     fits = [
-        _linear(start + step * (np.arange(bins) + 0.5), count, summed(field[valid]), slope)
+        _linear(centres, count, summed(field[valid]), slope)
         for field, slope in ((clip.ground_range, 1.0), (clip.altitude, 0.0))
     ]
     filled = count.sum(axis=1) > 0

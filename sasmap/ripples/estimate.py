@@ -51,8 +51,9 @@ def estimate(
 
     Notes
     -----
-    Crests are taken as straight and looked at square-on. The default method samples the speckle likelihood of
-    :mod:`sasmap.ripples.likelihood`; "zare-cobb" is the published sampler (Zare and Cobb 2013).
+    Crests are taken as straight and looked at square-on. The default method samples the speckle
+    likelihood of :mod:`sasmap.ripples.kernel`; "zare-cobb" is the published sampler (Zare and Cobb
+    2013).
     """
     settings = settings or RippleSettings()
     rng = np.random.default_rng(rng)

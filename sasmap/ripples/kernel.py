@@ -9,8 +9,8 @@ integrated out exactly under its scale-invariant prior 1/G:
 
     log L = - sum n log s - N log(sum total / s) + saturated,      s = m / G,  N = sum n
 
-less that of a saturated model, so that bins can be given less weight: where pixels fill their bins only
-in part, or altitude varies within a strip, a shadow's edge is known to a bin and not to the
+less that of a saturated model, so that bins can be given less weight: where pixels lie anywhere
+in their bins, or altitude varies within a strip, a shadow's edge is known to a bin and not to the
 fraction of one that 500 rows of equal pixels would claim.
 
 Parameters theta, in this order: f (cycles/m), A_H (m), b (rad, at the clip's centre), log n0 (noise

@@ -96,7 +96,8 @@ def speckle_data(binned: BinnedClip, shadow: str, variation: float = 0.0) -> Spe
     binned : BinnedClip
     shadow : {"none", "line-of-sight", "crest"}
     variation : float
-        Altitude's variation across all strips, over its mean; within a strip it smears shadow edges.
+        Altitude's variation across all strips, over its mean; within a strip it smears the edges
+        of shadows.
 
     Returns
     -------
@@ -107,16 +108,16 @@ def speckle_data(binned: BinnedClip, shadow: str, variation: float = 0.0) -> Spe
     altitude = binned.altitude0[:, None] + binned.altitude_slope[:, None] * u
     grazing = np.arctan2(np.maximum(altitude, 1e-9), np.maximum(ground_range, 1e-9))
     flat = cross_section(grazing) ** 2
-    smear = variation / len(binned.count)
+    smear = variation / len(binned.pixels)
     exact = binned.spread < EXACT and smear < EXACT_ALTITUDE
-    filled = binned.count > 0
-    mean = np.where(filled, binned.total / np.where(filled, binned.count, 1.0), 1.0)
+    filled = binned.pixels > 0
+    mean = np.where(filled, binned.total / np.where(filled, binned.pixels, 1.0), 1.0)
     return SpeckleData(
-        binned.count,
+        binned.pixels,
         binned.total,
         np.log(mean),
         grazing - np.pi / 2,
-        flat / np.average(flat, weights=binned.count),
+        flat / np.average(flat, weights=binned.pixels),
         binned.start,
         binned.step,
         binned.range0,

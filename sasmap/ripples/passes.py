@@ -127,7 +127,8 @@ def next_prior(earlier: Sequence[Summary], settings: RippleSettings) -> Prior:
 def used(summaries: Sequence[Summary], settings: RippleSettings) -> int | None:
     """Index of the look whose posterior stands for the cell so far, or None.
 
-    The last one that converged; without any, the published method passes its last one on all the same.
+    The last one that converged; without any, the published method passes its last one on all the
+    same.
     """
     good = [i for i, s in enumerate(summaries) if s.quality is Quality.GOOD]
     if not good and settings.method == "zare-cobb":

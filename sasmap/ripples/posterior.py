@@ -61,6 +61,9 @@ class LeftOut(IntFlag):
     TREND = 32
 
 
+NOTHING = LeftOut(0)
+
+
 @dataclass(frozen=True)
 class Posterior:
     """Posterior of one clip.
@@ -88,7 +91,7 @@ class Posterior:
     draws: xr.Dataset = field(default_factory=xr.Dataset)
     azimuth: float = float("nan")
     acceptance: float = float("nan")
-    left_out: LeftOut = LeftOut(0)
+    left_out: LeftOut = NOTHING
 
     @property
     def sampled(self) -> bool:

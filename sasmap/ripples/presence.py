@@ -70,8 +70,8 @@ def spectrum(binned: BinnedClip, bounds: tuple[float, float]) -> Spectrum | None
     low, high = max(bounds[0], MIN_WAVES / length), min(bounds[1], 1 / (MIN_PIXELS * step))
     # the spectrum below the lowest ripple shows what trends and objects leave there
     floor = 1 / length
-    filled = binned.count.sum(axis=1) > 0.25 * binned.count.sum() / max(len(binned.count), 1)
-    count, total = binned.count[filled], binned.total[filled]
+    filled = binned.pixels.sum(axis=1) > 0.25 * binned.pixels.sum() / max(len(binned.pixels), 1)
+    count, total = binned.pixels[filled], binned.total[filled]
     if high <= low or len(count) < 4 or total.sum() <= 0:
         return None
     profiles = _detrended(count, total)
@@ -125,7 +125,8 @@ def _strip_amplitudes(
     wanted = (every >= low) & (every <= high)
     frequency = every[wanted]
     turn = np.exp(-2j * np.pi * frequency * binned.centres[0])
-    return frequency, rfft(profiles * taper, size, axis=1)[:, wanted] * turn / taper.sum()
+    amplitudes = rfft(profiles * taper, size, axis=1)[:, wanted] * turn / taper.sum()
+    return np.asarray(frequency, float), amplitudes
 
 
 def _background(power: FloatArray) -> FloatArray:
@@ -141,7 +142,7 @@ def _background(power: FloatArray) -> FloatArray:
         levels = [np.median(side) / np.log(2) for side in sides if side.size >= line]
         if levels:
             background[i] = max(levels)
-    return np.maximum(background, 1e-300)
+    return np.asarray(np.maximum(background, 1e-300))
 
 
 def ripple_peaks(found: Spectrum, most: int = 3) -> NDArray[np.int64]:
@@ -158,7 +159,7 @@ def ripple_peaks(found: Spectrum, most: int = 3) -> NDArray[np.int64]:
     passed[1:-1] &= (found.power[1:-1] >= found.power[:-2]) & (found.power[1:-1] >= found.power[2:])
     index = np.flatnonzero(passed)
     index = index[np.argsort(-found.power[index], kind="stable")]
-    return np.array([i for i in index if _in_both_halves(found, i)][:most], np.int64)
+    return np.array([i for i in index.tolist() if _in_both_halves(found, i)][:most], np.int64)
 
 
 def _in_both_halves(found: Spectrum, index: int) -> bool:

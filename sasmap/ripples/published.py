@@ -62,7 +62,7 @@ def normalise(clip: Clip) -> FloatArray:
 def reduce(clip: Clip, image: FloatArray) -> PublishedData:
     """Average a normalised clip over range bins: the Gaussian likelihood needs no more."""
     binned = bin_clip(clip, image)
-    weight = binned.count
+    weight = binned.pixels
     count = weight.sum(axis=0)
     used = count > 0
     u = binned.centres

@@ -1,9 +1,9 @@
 """Metropolis-Hastings for a clip's four parameters: state and proposal apart.
 
-The proposal is learned from the burn-in population and then frozen, so that the kept draws come from one
-reversible chain: a mixture of independent draws from a Student t, and of differences between two
-members of the population (ter Braak and Vrugt 2008), of which those at full length cross between
-modes.
+The proposal is learned from the burn-in population and then frozen, so that the kept draws come
+from one reversible chain: a mixture of independent draws from a Student t, and of differences
+between two members of the population (ter Braak and Vrugt 2008), of which those at full length
+cross between modes.
 """
 
 from __future__ import annotations

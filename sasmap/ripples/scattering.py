@@ -61,7 +61,7 @@ def profile_height(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName)
 
 
 def profile_slope(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName) -> FloatArray:
-    """Derivative of :func:`profile_height` by phase; multiply by 2 pi f A_H for the slope."""
+    """Return the derivative of :func:`profile_height` by phase; times 2 pi f A_H the slope."""
     phase = np.asarray(phase, float)
     cosine = np.cos(phase)
     if profile == "sine":

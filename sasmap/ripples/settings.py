@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 Bounds = tuple[FiniteFloat, FiniteFloat]
 
@@ -33,12 +33,16 @@ class RippleSettings(BaseModel):
         description="largest number of kept draws per chain; sampling stops early on convergence",
     )
 
+    @field_validator("frequency", "height")
+    @classmethod
+    def _ordered(cls, value: Bounds) -> Bounds:
+        low, high = value
+        if low < 0 or high <= low:
+            raise ValueError(f"expected 0 <= lower < upper bound, got [{low:g}, {high:g}]")
+        return value
+
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for name in ("frequency", "height"):
-            low, high = getattr(self, name)
-            if low < 0 or high <= low:
-                raise ValueError(f"{name}: expected 0 <= lower < upper bound, got [{low}, {high}]")
+    def _above_zero(self) -> Self:
         if self.frequency[0] == 0 and self.method == "default":
             raise ValueError("frequency: expected a lower bound above 0 cycles/m")
         return self

@@ -1,9 +1,9 @@
 """Where chains start: a coarse scan that sees every mode, then a population cooled into them.
 
-With shadows the likelihood has cliffs and several modes, on which a local search sticks. So a population
-is brought from a nearly flat power of the likelihood to its full height by resampling and
-Metropolis-Hastings moves (sequential Monte Carlo; Del Moral, Doucet and Jasra 2006). It serves as burn-in:
-what is kept comes from the chains of :mod:`sasmap.ripples.sampler`.
+With shadows the likelihood has cliffs and several modes, on which a local search sticks. So a
+population is brought from a nearly flat power of the likelihood to its full height by resampling
+and Metropolis-Hastings moves (sequential Monte Carlo; Del Moral, Doucet and Jasra 2006). It serves
+as burn-in: what is kept comes from the chains of :mod:`sasmap.ripples.sampler`.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def cooled_population(
     ----------
     found : Spectrum
     peaks : ndarray of int
-        Candidate peaks of the spectrum, best first; at least one. Their halves and doubles are searched
-        too, since shadow can feed a harmonic more than the fundamental.
+        Candidate peaks of the spectrum, best first; at least one. Their halves and doubles are
+        searched too, since shadow can feed a harmonic more than the fundamental.
     data : SpeckleData
     prior : Prior
     rng : Generator

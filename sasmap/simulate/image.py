@@ -261,7 +261,7 @@ def _speckle(
     if scene_pass.noise is not None:
         power = 10 ** (scene_pass.noise / 10)
         signal = signal + np.sqrt(power) * _complex_noise(shape, 0.0, rng)
-    return np.abs(signal)
+    return np.asarray(np.abs(signal))
 
 
 def _complex_noise(

@@ -119,7 +119,7 @@ def _write_tiles(
     written = []
     for i, top in enumerate(range(0, whole.rows, side)):
         for j, left in enumerate(range(0, whole.columns, side)):
-            transform = whole.transform * Affine.translation(left, top)
+            transform = whole.transform @ Affine.translation(left, top)
             shape = min(side, whole.rows - top), min(side, whole.columns - left)
             rng = np.random.default_rng(np.random.SeedSequence([scene.seed, k, i, j]))
             pixels = record(scene, floor, scene_pass, transform, shape, rng)

@@ -120,8 +120,8 @@ def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
     Raises
     ------
     InputError
-        For a geographic CRS, one in other units than metres, or one that stretches distances here by more
-        than 2 % (Web Mercator does).
+        For a geographic CRS, one in other units than metres, or one that stretches distances here
+        by more than 2 % (Web Mercator does).
     """
     advice = "choose a projected CRS in metres, such as the UTM zone of the survey"
     if not crs.is_projected:

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
 # Below this grazing angle nothing is seen: farther tiles belong to another track.
+MAX_REACH = 5.0
 MIN_GRAZING = np.radians(0.5)
 
 
@@ -71,7 +72,7 @@ class Track:
         -------
         Geometry
             NaN where the nearest point is an end of the track: no ping saw the point square-on.
-            The ends reach two ping spacings beyond the first and last ping.
+            The ends reach two ping spacings, at most 5 m, beyond the first and last ping.
         """
         shape = np.shape(x)
         points = np.ascontiguousarray(x, float).ravel(), np.ascontiguousarray(y, float).ravel()
@@ -83,7 +84,7 @@ class Track:
 
     def _extended(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         step = np.hypot(np.diff(self.x), np.diff(self.y))
-        reach = 2 * float(np.median(step))
+        reach = min(2 * float(np.median(step)), MAX_REACH)
         first = reach / step[0]
         last = reach / step[-1]
         ends = []
@@ -176,7 +177,7 @@ def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | N
     InputError
         Where the file, a column, or a number is missing or impossible; names the row.
     """
-    rows = _read_rows(path)
+    lines, rows = _read_rows(path)
     header = [name.strip().lower() for name in rows[0]]
     if "altitude" not in header:
         raise InputError(f"{path}: no column 'altitude': expected metres above the sea floor")
@@ -184,16 +185,16 @@ def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | N
     names = ("longitude", "latitude") if geographic else ("x", "y")
     if not set(names) <= set(header):
         raise InputError(f"{path}: expected columns longitude, latitude or x, y; got {header}")
-    values = {name: _column(path, rows, header.index(name), name) for name in (*names, "altitude")}
+    table = _Table(path, lines, rows)
+    values = {name: table.column(header.index(name), name) for name in (*names, "altitude")}
     low = np.flatnonzero(values["altitude"] <= 0)
     if low.size:
         row = int(low[0])
-        raise InputError(
-            f"{path}: row {row + 2}: altitude: expected more than 0 m, got {values['altitude'][row]:g}"
-        )
+        given = values["altitude"][row]
+        raise InputError(f"{path}: row {lines[row + 1]}: altitude: expected more than 0 m, got {given:g}")
     source = navigation_crs or (WGS84 if geographic else tile_crs)
     if geographic:
-        _check_degrees(path, values["longitude"], values["latitude"])
+        table.check_degrees(values["longitude"], values["latitude"])
     x, y = transform_points(
         pyproj.CRS.from_user_input(source).to_wkt(), crs, values[names[0]], values[names[1]]
     )
@@ -209,37 +210,45 @@ def _checked_track(path: Path, x: FloatArray, y: FloatArray, altitude: FloatArra
     return Track(x[moved], y[moved], altitude[moved])
 
 
-def _read_rows(path: Path) -> list[list[str]]:
+def _read_rows(path: Path) -> tuple[list[int], list[list[str]]]:
+    """Return line numbers and cells of the rows that are not blank."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+            reader = csv.reader(stream)
+            found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (UnicodeDecodeError, csv.Error):
         raise InputError(f"{path}: expected a CSV text file in UTF-8") from None
-    if not rows:
+    if not found:
         raise InputError(f"{path}: empty: expected a header and one row a ping")
-    if len(rows) < 3:
-        raise InputError(f"{path}: expected at least two pings, got {len(rows) - 1}")
-    return rows
+    if len(found) < 3:
+        raise InputError(f"{path}: expected at least two pings, got {len(found) - 1}")
+    return [line for line, _ in found], [row for _, row in found]
 
 
-def _column(path: Path, rows: list[list[str]], index: int, name: str) -> FloatArray:
-    values = np.empty(len(rows) - 1)
-    for i, row in enumerate(rows[1:]):
-        try:
-            values[i] = float(row[index])
-        except (ValueError, IndexError):
+class _Table(NamedTuple):
+    """Rows of a CSV, the first one its header, with the lines they stand on."""
+
+    path: Path
+    lines: list[int]
+    rows: list[list[str]]
+
+    def column(self, index: int, name: str) -> FloatArray:
+        values = np.empty(len(self.rows) - 1)
+        for i, row in enumerate(self.rows[1:]):
             given = row[index] if index < len(row) else ""
-            raise InputError(
-                f"{path}: row {i + 2}: {name}: expected a number, got {given[:40]!r}"
-            ) from None
-        if not np.isfinite(values[i]):
-            raise InputError(f"{path}: row {i + 2}: {name}: expected a finite number")
-    return values
+            where = f"{self.path}: row {self.lines[i + 1]}: {name}"
+            try:
+                values[i] = float(given)
+            except ValueError:
+                raise InputError(f"{where}: expected a number, got {given[:40]!r}") from None
+            if not np.isfinite(values[i]):
+                raise InputError(f"{where}: expected a finite number, got {given[:40]!r}")
+        return values
 
-
-def _check_degrees(path: Path, longitude: FloatArray, latitude: FloatArray) -> None:
-    wrong = np.flatnonzero((np.abs(longitude) > 360) | (np.abs(latitude) > 90))
-    if wrong.size:
-        raise InputError(f"{path}: row {wrong[0] + 2}: expected longitude, latitude in degrees")
+    def check_degrees(self, longitude: FloatArray, latitude: FloatArray) -> None:
+        wrong = np.flatnonzero((np.abs(longitude) > 360) | (np.abs(latitude) > 90))
+        if wrong.size:
+            line = self.lines[int(wrong[0]) + 1]
+            raise InputError(f"{self.path}: row {line}: expected longitude, latitude in degrees")

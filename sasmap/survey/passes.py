@@ -242,8 +242,9 @@ def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> d
     -------
     dict
         ``x, y`` (m), ``starboard`` (bool), ``ground_range, altitude`` (m), ``look_azimuth``
-        (degrees) and, for slant range, ``ground_x, ground_y`` (m), each (height, width); NaN where the pass did not see
-        the pixel: beyond the track's ends, on a side it does not show, or in the water column.
+        (degrees) and, for slant range, ``ground_x, ground_y`` (m), each (height, width); NaN where
+        the pass did not see the pixel: beyond the track's ends, on a side it does not show, or in
+        the water column.
     """
     x, y = transform_points(lattice.crs, crs, *lattice.centres(window))
     x, y = np.broadcast_arrays(x, y)
@@ -341,8 +342,9 @@ def _lazy(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> 
     )
     lazy: dict[str, Any] = {name: (("y", "x"), stack[i]) for i, name in enumerate(names)}
     if aligned:
-        x, y = lattice.centres(window)
-        lazy |= {"x": x, "y": y[:, 0]}
+        x, _ = lattice.centres(window._replace(height=1))
+        _, y = lattice.centres(window._replace(width=1))
+        lazy |= {"x": x[0], "y": y[:, 0]}
     return _array(values, lazy, crs, sonar_pass.name)
 
 

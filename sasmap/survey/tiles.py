@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +60,13 @@ class Tile:
 
     def outline_in(self, crs: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return points of the tile's edge in another CRS."""
-        x, y = outline(self.window, self.lattice)
-        return transform_points(self.lattice.crs, crs, x, y)
+        return _outline_in(self, crs)
+
+
+@lru_cache(maxsize=100_000)
+def _outline_in(tile: Tile, crs: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    x, y = outline(tile.window, tile.lattice)
+    return transform_points(tile.lattice.crs, crs, x, y)
 
 
 def inspect_tile(path: Path) -> Tile:
@@ -122,7 +129,7 @@ def _checked_crs(path: Path, source: rasterio.DatasetReader) -> str:
 def _utm_of(source: rasterio.DatasetReader, crs: pyproj.CRS) -> str:
     if not crs.is_geographic:
         return "EPSG:32617"
-    longitude, latitude = source.transform * (source.width / 2, source.height / 2)
+    longitude, latitude = source.transform @ (source.width / 2, source.height / 2)
     if not (-180 <= longitude <= 180 and -90 <= latitude <= 90):
         return "EPSG:32617"
     zone = min(int((longitude + 180) // 6) + 1, 60)
@@ -188,7 +195,7 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
     missing |= ~np.isfinite(amplitude)
     missing |= np.less(amplitude, 0, where=~missing, out=np.zeros_like(missing))
     amplitude[missing] = np.nan
-    return amplitude
+    return np.asarray(amplitude)
 
 
 def _where(window: Window) -> str:
@@ -199,8 +206,8 @@ def _where(window: Window) -> str:
 def gather(tiles: tuple[Tile, ...], lattice: Lattice, window: Window) -> Amplitude:
     """Lay tiles into a window of a lattice, the first valid pixel winning where they overlap.
 
-    Pixels are never interpolated, so that speckle keeps its statistics: a tile on the same lattice is
-    copied, one on another lattice gives each pixel the value of its own nearest pixel.
+    Pixels are never interpolated, so that speckle keeps its statistics: a tile on the same lattice
+    is copied, one on another lattice gives each pixel the value of its own nearest pixel.
 
     Parameters
     ----------
@@ -271,10 +278,12 @@ def hash_file(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def find_tiles(pattern_base: Path, pattern: str) -> list[Path]:
-    """Return the files a glob of the survey file names, sorted; relative ones from its folder."""
-    full = Path(os.path.normpath(pattern_base / pattern))
-    if not any(c in pattern for c in "*?["):
-        return [full]
-    anchor = Path(full.anchor) if full.is_absolute() else Path()
-    return sorted(anchor.glob(str(full.relative_to(full.anchor) if full.is_absolute() else full)))
+def find_tiles(folder: Path, pattern: str) -> list[Path]:
+    """Return the files that a glob names, sorted; a relative one starts from the folder.
+
+    A name without wildcards is returned as it is, so that its absence can be told.
+    """
+    if not glob.has_magic(pattern):
+        return [folder / pattern]
+    full = os.path.join(glob.escape(str(folder)), pattern)
+    return [Path(name) for name in sorted(glob.glob(full, recursive=True))]

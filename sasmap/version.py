@@ -1,0 +1,3 @@
+"""The version of sasmap."""
+
+VERSION = "0.1.0"

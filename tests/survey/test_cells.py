@@ -1,0 +1,54 @@
+import numpy as np
+import pyproj
+import pytest
+
+from sasmap.errors import InputError
+from sasmap.survey.cells import Cell, CellGrid, check_grid_crs, lay_grid
+from sasmap.survey.tiles import inspect_tile
+from tests.helpers import UTM, write_tile
+from tests.survey.test_tiles import NORTH_UP, RAMP, shift
+
+WKT = pyproj.CRS.from_user_input(UTM).to_wkt()
+
+
+def test_grid_starts_at_the_upper_left_of_all_tiles(tmp_path):
+    a = inspect_tile(write_tile(tmp_path / "a.tif", RAMP, NORTH_UP))
+    b = inspect_tile(write_tile(tmp_path / "b.tif", RAMP, NORTH_UP @ shift(-6, 7)))
+    grid = lay_grid([a, b], a.lattice.crs, 10)
+    assert (grid.left, grid.top, grid.size) == (499997.0, 3300000.0, 5.0)
+    assert (grid.rows, grid.columns) == (2, 3)  # 19 rows and 26 columns of pixels
+    assert grid.bounds(Cell(1, 2)) == (500007.0, 3299990.0, 500012.0, 3299995.0)
+    assert [tuple(c) for c in grid] == [(r, c) for r in range(2) for c in range(3)]
+
+
+def test_every_point_lies_in_one_cell():
+    grid = CellGrid(WKT, 500000.0, 3300000.0, 12.5, 4, 5)
+    rng = np.random.default_rng(1)
+    x = 500000 + np.concatenate([rng.uniform(0, 62.5, 500), 12.5 * np.arange(5)])
+    y = 3300000 - np.concatenate([rng.uniform(0, 50, 500), 12.5 * np.arange(4), [3.0]])
+    held = sum(grid.holds(cell, x, y).astype(int) for cell in grid)
+    np.testing.assert_array_equal(held, 1)
+
+
+def test_whole_pixels_do_not_make_a_sliver_of_a_cell(tmp_path):
+    tenth = NORTH_UP @ NORTH_UP.scale(0.2)  # 0.1 m pixels: sizes that binary cannot hold
+    tile = inspect_tile(write_tile(tmp_path / "a.tif", np.zeros((90, 210), "uint8"), tenth))
+    grid = lay_grid([tile], tile.lattice.crs, 30)
+    assert (grid.rows, grid.columns) == (3, 7)
+
+
+@pytest.mark.parametrize(
+    ("crs", "x", "y", "says"),
+    [
+        ("EPSG:4326", -81.0, 29.8, "geographic CRS"),
+        ("EPSG:3857", -9016879.0, 3472000.0, "stretches distances"),
+        ("EPSG:2236", 600000.0, 600000.0, "US survey foot"),
+    ],
+)
+def test_crs_whose_numbers_are_not_metres_on_the_ground(crs, x, y, says):
+    with pytest.raises(InputError, match=says):
+        check_grid_crs(pyproj.CRS.from_user_input(crs), "survey.yaml: crs", x, y)
+
+
+def test_utm_is_accepted():
+    check_grid_crs(pyproj.CRS.from_user_input(UTM), "survey.yaml: crs", 500000.0, 3300000.0)
