@@ -181,7 +181,9 @@ def fault_lines(model: type[BaseModel], error: ValidationError, path: Path) -> l
             continue  # its entries were refused, and say so themselves
         if key.endswith("sediments.classes"):  # a fault for each kind of value it could have been
             detail["type"], detail["msg"] = "value_error", _CLASSES
-        lines.append(" ".join(f"{path}: {f'{key}: ' if key else ''}{_message(model, detail)}".split()))
+        lines.append(
+            " ".join(f"{path}: {f'{key}: ' if key else ''}{_message(model, detail)}".split())
+        )
     return list(dict.fromkeys(lines))
 
 

@@ -28,12 +28,15 @@ def zare_cobb_amplitude(ground_range, frequency, height, altitude, rule):
     if rule == "crest":
         shadow = shadow_crest_rule(phase, ground_range, altitude, frequency, height)
     else:
-        step = ground_range[1] - ground_range[0]
-        before = ground_range[0] - step * np.arange(int(1 / (frequency * step)) + 2, 0, -1)
-        before = before[before > 0]
-        longer = np.concatenate([before, ground_range])
-        floor = height * np.sin(2 * np.pi * frequency * longer)
-        shadow = shadow_line_of_sight(floor, longer, altitude)[before.size :]
+        # forty sights a pixel: coarser ones miss part of what lies just behind a crest
+        step = (ground_range[1] - ground_range[0]) / 40
+        before = int(1 / (frequency * step)) // 40 * 40 + 40
+        fine = ground_range[0] + step * np.arange(-before, 40 * ground_range.size)
+        first = int(np.searchsorted(fine, 1e-3))
+        floor = height * np.sin(2 * np.pi * frequency * fine[first:])
+        shadow = np.zeros(fine.size, bool)
+        shadow[first:] = shadow_line_of_sight(floor, fine[first:], altitude)
+        shadow = shadow[before::40]
     return np.where(shadow, 0.0, amplitude)
 
 
@@ -92,8 +95,15 @@ def small_survey(folder: Path, **changes):
     rng = np.random.default_rng(5)
     values = rng.rayleigh(80.0, (40, 60)).astype("float32")
     corner = Affine(0.5, 0, 500010.0, 0, -0.5, 3300020.0)
-    write_tile(folder / "tiles" / "a.tif", values, corner, nodata=float("nan"), tiled=True,
-               blockxsize=16, blockysize=16)
+    write_tile(
+        folder / "tiles" / "a.tif",
+        values,
+        corner,
+        nodata=float("nan"),
+        tiled=True,
+        blockxsize=16,
+        blockysize=16,
+    )
     north = np.arange(3299995.0, 3300026.0)
     write_track(folder / "nav.csv", np.full(north.size, 500000.0), north, 5.0)
     content = {

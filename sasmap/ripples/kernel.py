@@ -9,9 +9,10 @@ integrated out exactly under its scale-invariant prior 1/G:
 
     log L = - sum n log s - N log(sum total / s) + saturated,      s = m / G,  N = sum n
 
-less that of a saturated model, so that bins can be given less weight: where pixels lie anywhere
-in their bins, or altitude varies within a strip, a shadow's edge is known to a bin and not to the
-fraction of one that 500 rows of equal pixels would claim.
+less that of a saturated model, so that bins can be given less weight: 500 rows of pixels would
+claim to know where a shadow's edge lies to a thousandth of a pixel, which no sonar's image, no
+navigation and no model of a sea floor can bear. Pixels at an edge therefore count little, which
+leaves the edge known to about a pixel.
 
 Parameters theta, in this order: f (cycles/m), A_H (m), b (rad, at the clip's centre), log n0 (noise
 floor over the flat sea floor's intensity).
@@ -32,7 +33,9 @@ FloatArray = NDArray[np.float64]
 # Receiver noise: about 20 dB below the sea floor, give or take a factor of e^2.
 NOISE_MEAN, NOISE_SD = float(np.log(0.01)), 2.0
 NOISE_BOUNDS = (float(np.log(1e-6)), float(np.log(10.0)))
-# Shortest wavelength, in bins, at which edges may weigh less.
+# Weight of pixels in bins at a shadow's edge, and the shortest wavelength, in bins, at which they
+# may weigh less than others.
+EDGE_WEIGHT = 0.02
 EDGE_WAVELENGTH = 32.0
 # Weights of proposals by differences of two members: scaled for the local mode, and in full.
 LOCAL, CROSSING = 0.35, 0.15
@@ -55,7 +58,6 @@ class SpeckleData(NamedTuple):
     altitude_slope: FloatArray
     spread: float
     smear: float
-    edge_weight: float
     shadow: int
 
 
@@ -111,65 +113,66 @@ def log_prior(theta, prior):  # type: ignore[no-untyped-def]
 def lit_fractions(theta, data, strip, lit):  # type: ignore[no-untyped-def]
     """Fill the fraction of each bin's pixels that are not in shadow.
 
-    A margin is followed over edges and centres of the bins, positive in shadow: the running maximum
+    Half bin by half bin along the look a margin tells shadow, positive within: the running maximum
     of (h - altitude) / range less its value here, or the published ray over the crest less h.
     """
+    lit[:] = 1.0
     wave = 2.0 * np.pi * theta[0]
-    entered = data.start
     half = 0.5 * data.step
     before = 2 * int(np.ceil(1.0 / (theta[0] * data.step))) if data.shadow == 1 else 0
-    highest = -np.inf
-    left, centre, margin = -1.0, -1.0, -1.0
     first = wave * (data.start - before * half) + theta[2]
     c, s = np.cos(first), np.sin(first)
     turn_c, turn_s = np.cos(wave * half), np.sin(wave * half)
+    highest, margin, rise, earlier, entered = -np.inf, -1.0, -np.inf, -np.inf, -1.0
+    inside = False
     for i in range(-before, 2 * lit.size + 1):
         u = data.start + i * half
         r = data.range0[strip] + data.range_slope[strip] * u
-        h = theta[1] * s
         if r > half:
+            h = theta[1] * s
             altitude = data.altitude0[strip] + data.altitude_slope[strip] * u
+            last = margin
             if data.shadow == 1:
-                rise = (h - altitude) / r
-                margin = highest - rise
-                highest = max(highest, rise)
+                latest = (h - altitude) / r
+                margin = highest - latest
+                if margin > 0.0 and not inside:
+                    entered, highest = _vertex(i, earlier, rise, latest)
+                highest = max(highest, latest)
+                earlier, rise = rise, latest
             else:
                 d = ((wave * u + theta[2] - 0.5 * np.pi) % (2.0 * np.pi)) / wave
                 margin = theta[1] - altitude * d / (r - d) - h if 0.0 < d < r else -1e-12
-        if i >= 0 and i % 2 == 1:
-            centre = margin
-        elif i >= 0:
-            if left <= 0.0 < margin:
-                entered = u
-            if i > 0:
-                # altitude stretches a shadow: its far edge smears over the strip, its start hardly
-                smear = data.smear * (u - entered) / data.step if margin <= 0.0 else 0.0
-                spread = min(data.spread + smear, 1.0)
-                lit[i // 2 - 1] = _lit_part(left, centre, margin, spread)
-            left = margin
+                if margin > 0.0 and not inside:
+                    entered = i - 1 + last / (last - margin)
+            if inside and margin <= 0.0:
+                _hide(lit, entered, i - 1 + last / (last - margin), data)
+            inside = margin > 0.0
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+    if inside:
+        _hide(lit, entered, 2.0 * lit.size + 4.0, data)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _lit_part(left, centre, right, spread):  # type: ignore[no-untyped-def]
-    if left <= 0.0 and centre <= 0.0 and right <= 0.0:
-        return 1.0
-    if left > 0.0 and centre > 0.0 and right > 0.0:
-        return 0.0
-    return _lit_half(left, centre, 0.0, spread) + _lit_half(centre, right, 0.5, spread)
+def _vertex(i, earlier, middle, latest):  # type: ignore[no-untyped-def]
+    """Return where between i - 2 and i three values are highest, by a parabola, and how high."""
+    bend = earlier - 2.0 * middle + latest
+    if not (bend < 0.0 and np.isfinite(earlier)):
+        return i - 1.0, middle
+    offset = 0.5 * (earlier - latest) / bend
+    return i - 1.0 + offset, middle - 0.25 * (earlier - latest) * offset
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _lit_half(left, right, at, spread):  # type: ignore[no-untyped-def]
-    """Share of pixels in the lit part of half a bin, margins linear between its ends."""
-    low, high = at, at + 0.5
-    if left > 0.0 and right > 0.0:
-        return 0.0
-    if left > 0.0:
-        low = at + 0.5 * left / (left - right)
-    elif right > 0.0:
-        high = at + 0.5 * left / (left - right)
-    return _share(high, spread) - _share(low, spread)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _hide(lit, begin, end, data):  # type: ignore[no-untyped-def]
+    """Take a shadow between two places, in half bins, off the lit fractions.
+
+    Altitude stretches a shadow: its far edge smears over the strip, its near one hardly.
+    """
+    begin, end = 0.5 * begin, 0.5 * end
+    smeared = min(data.spread + data.smear * (end - begin), 1.0)
+    for i in range(max(int(begin) - 1, 0), min(int(end) + 2, lit.size)):
+        hidden = _share(end - i, smeared) - _share(begin - i, data.spread)
+        lit[i] = max(lit[i] - hidden, 0.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -190,10 +193,10 @@ def relative_intensity(theta, data, strip, shape, weight):  # type: ignore[no-un
         shape[:] = 1.0
     else:
         lit_fractions(theta, data, strip, shape)
-        if data.edge_weight < 1.0 and theta[0] * data.step * EDGE_WAVELENGTH < 1.0:
+        if theta[0] * data.step * EDGE_WAVELENGTH < 1.0:
             for i in range(1, shape.size):
                 if shape[i] != shape[i - 1]:
-                    weight[i - 1] = weight[i] = data.edge_weight
+                    weight[i - 1] = weight[i] = EDGE_WEIGHT
     wave = 2.0 * np.pi * theta[0]
     tilt = np.arctan(wave * theta[1])
     damping = np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE))

@@ -18,9 +18,6 @@ FloatArray = NDArray[np.float64]
 SHADOWS = {"none": 0, "line-of-sight": 1, "crest": 2}
 # A bin's pixels count as spread over at least this fraction of it.
 MIN_SPREAD = 1e-3
-# Below this spread (bins) each column of pixels is a bin and the model of a shadow's edge exact;
-# otherwise pixels on an edge count this much.
-EXACT, EXACT_ALTITUDE, EDGE_WEIGHT = 0.02, 1e-4, 0.02
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,6 @@ def speckle_data(binned: BinnedClip, shadow: str, variation: float = 0.0) -> Spe
     grazing = np.arctan2(np.maximum(altitude, 1e-9), np.maximum(ground_range, 1e-9))
     flat = cross_section(grazing) ** 2
     smear = variation / len(binned.pixels)
-    exact = binned.spread < EXACT and smear < EXACT_ALTITUDE
     filled = binned.pixels > 0
     mean = np.where(filled, binned.total / np.where(filled, binned.pixels, 1.0), 1.0)
     return SpeckleData(
@@ -126,6 +122,5 @@ def speckle_data(binned: BinnedClip, shadow: str, variation: float = 0.0) -> Spe
         binned.altitude_slope,
         max(binned.spread, MIN_SPREAD),
         smear,
-        1.0 if exact else EDGE_WEIGHT,
         SHADOWS[shadow],
     )

@@ -69,7 +69,7 @@ def cooled_population(
     """
     compiled = prior.compiled()
     frequencies, half_step = _frequencies(found, peaks, prior)
-    heights = _heights(prior.bounds[1])
+    heights = _heights(prior)
     phases = 2 * np.pi * np.arange(PHASES) / PHASES
     table = np.empty((frequencies.size * heights.size * PHASES, 5))
     scan_grid(frequencies, heights, phases, NOISE, data, compiled, table)
@@ -107,19 +107,35 @@ def _cool(
 def _frequencies(
     found: Spectrum, peaks: NDArray[np.int64], prior: Prior
 ) -> tuple[FloatArray, float]:
+    """Return frequencies to scan, and half the step between them."""
     low, high = prior.bounds[0]
     step = float(found.frequency[1] - found.frequency[0])
-    centres = [found.frequency[i] * factor for i in peaks for factor in (1.0, 0.5, 2.0)]
-    if np.isfinite(prior.sd[0]):
-        centres.append(prior.mean[0])
+    spot = _bulk(prior, 0)
+    if spot is not None and spot[1] < 2 * step:  # the prior is as narrow as a spectral line
+        centres, step = [spot[0]], spot[1]
+    else:
+        centres = [found.frequency[i] * factor for i in peaks for factor in (1.0, 0.5, 2.0)]
+        centres += [spot[0]] if spot is not None else []
+        low = max(low, min(MIN_WAVES / (found.u[-1] - found.u[0]), high))
     around = np.add.outer(centres, step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])).ravel()
-    longest = MIN_WAVES / (found.u[-1] - found.u[0])
-    return np.unique(np.clip(around, max(low, min(longest, high)), high)), step / 2
+    return np.unique(np.clip(around, low, high)), step / 2
 
 
-def _heights(bounds: tuple[float, float]) -> FloatArray:
-    low, high = bounds
+def _heights(prior: Prior) -> FloatArray:
+    low, high = prior.bounds[1]
+    spot = _bulk(prior, 1)
+    if spot is not None and spot[1] < 0.1 * (high - low):
+        return np.unique(np.clip(spot[0] + spot[1] * np.linspace(-2.5, 2.5, HEIGHTS), low, high))
     return np.geomspace(max(low, 2e-3 * high), high, HEIGHTS)
+
+
+def _bulk(prior: Prior, i: int) -> tuple[float, float] | None:
+    """Where a parameter's truncated Gaussian has its mass, and on what scale; None if flat."""
+    mean, sd, (low, high) = prior.mean[i], prior.sd[i], prior.bounds[i]
+    if not np.isfinite(sd):
+        return None
+    place = float(np.clip(mean, low, high))
+    return place, min(sd, sd**2 / max(abs(mean - place), 1e-300))
 
 
 def _jittered(
@@ -131,10 +147,10 @@ def _jittered(
 ) -> FloatArray:
     """Spread grid points over their cells of the scan."""
     n = len(grid)
-    ratio = (heights[-1] / heights[0]) ** (0.5 / (heights.size - 1))
     moved = grid.copy()
     moved[:, 0] += half_step * rng.uniform(-1, 1, n)
-    moved[:, 1] *= ratio ** rng.uniform(-1, 1, n)
+    place = np.searchsorted(heights, grid[:, 1]) + 0.5 * rng.uniform(-1, 1, n)
+    moved[:, 1] = np.interp(place, np.arange(heights.size), heights)
     moved[:, 2] += np.pi / PHASES * rng.uniform(-1, 1, n)
     moved[:, 3] += rng.normal(0, 1, n)
     moved[:, :2] = np.clip(moved[:, :2], prior.lower, prior.upper)

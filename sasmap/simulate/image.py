@@ -228,8 +228,12 @@ def _shadow(
     row = np.clip(np.rint((view.along - first) / pixel).astype(np.int64), 0, rows.size - 1)
     before = np.ceil((view.ground_range - start) / (SIGHT_STEP * pixel) - 1e-6).astype(np.int64) - 1
     rise = (floor.elevation(waves) - view.altitude) / view.ground_range
-    hidden = rise < highest[row, np.clip(before, 0, ranges.size - 1)]
-    return np.asarray(hidden & (before >= 0))
+    hidden = (rise < highest[row, np.clip(before, 0, ranges.size - 1)]) & (before >= 0)
+    # between two sights: where the rise falls, a point just before hides this one
+    nearer = np.maximum(view.ground_range - 0.02 * pixel, 1e-3 * pixel)
+    x, y = line.point(view.along, nearer)
+    hidden |= rise < (floor.elevation(floor.waves(x, y)) - view.altitude) / nearer
+    return np.asarray(hidden)
 
 
 def _speckle(

@@ -191,7 +191,9 @@ def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | N
     if low.size:
         row = int(low[0])
         given = values["altitude"][row]
-        raise InputError(f"{path}: row {lines[row + 1]}: altitude: expected more than 0 m, got {given:g}")
+        raise InputError(
+            f"{path}: row {lines[row + 1]}: altitude: expected more than 0 m, got {given:g}"
+        )
     source = navigation_crs or (WGS84 if geographic else tile_crs)
     if geographic:
         table.check_degrees(values["longitude"], values["latitude"])

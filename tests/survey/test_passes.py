@@ -164,7 +164,9 @@ def change_tile(folder, **profile):
         (lambda f: (f / "tiles" / "a.tif").write_text("hello"), "a.tif: not a GeoTIFF"),
         (lambda f: (f / "nav.csv").unlink(), "nav.csv: cannot be read"),
         (
-            lambda f: write_track(f / "nav.csv", [500000.0] * 2, [3299990.0, 3300030.0], [5.0, 0.0]),
+            lambda f: write_track(
+                f / "nav.csv", [500000.0] * 2, [3299990.0, 3300030.0], [5.0, 0.0]
+            ),
             "nav.csv: row 3: altitude: expected more than 0 m",
         ),
         (
