@@ -33,6 +33,7 @@ from sasmap.survey.tiles import hash_file
 log = logging.getLogger("sasmap")
 
 MIN_VALID = 0.25
+CLUSTER_TIMEOUT = "10s"
 SEDIMENTS_NOTE = "sediments: not yet run by this version"
 
 
@@ -194,20 +195,38 @@ def run_survey(
     clock = _Clock()
     with clock.stage("check"):
         plan = make_plan(survey)
+    with _cluster(scheduler) as client:
         store = Store(_made(output or survey.output_folder))
-    for warning in plan.opened.warnings:
-        log.warning(warning)
-    store.remove_leftovers()
-    if restart:
-        store.clear()
-    outcome = Outcome(store.output, seconds=clock.seconds)
+        for warning in plan.opened.warnings:
+            log.warning(warning)
+        store.remove_leftovers()
+        if restart:
+            store.clear()
+        outcome = Outcome(store.output, seconds=clock.seconds)
+        if survey.ripples is not None:
+            with clock.stage("ripples"):
+                _estimate_cells(plan, store, outcome, workers, client, progress)
     if survey.ripples is not None:
-        with clock.stage("ripples"):
-            _estimate_cells(plan, store, outcome, workers, scheduler, progress)
         with clock.stage("products"):
             _write_ripples(plan, store, outcome)
     _write_manifest(plan, store, outcome)
     return outcome
+
+
+@contextmanager
+def _cluster(address: str | None) -> Iterator[Any]:
+    """Connect to a dask scheduler; None without an address."""
+    if address is None:
+        yield None
+        return
+    from distributed import Client  # heavy, and only clusters need it
+
+    try:
+        client = Client(address, timeout=CLUSTER_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: no dask scheduler answers: {error}") from None
+    with client:
+        yield client
 
 
 def _made(folder: Path) -> Path:
@@ -227,7 +246,7 @@ def _estimate_cells(
     store: Store,
     outcome: Outcome,
     workers: int | None,
-    scheduler: str | None,
+    client: Any,
     progress: Callable[[int, int], None] | None,
 ) -> None:
     tasks: dict[tuple[Cell, int], Any] = {}
@@ -239,9 +258,7 @@ def _estimate_cells(
             earlier.append(tasks[cell, k])
     total = len(tasks)
     log.info("%d cells, %d looks at them", len(plan.cells), total)
-    done = dict(
-        zip(tasks, _compute(list(tasks.values()), workers, scheduler, progress), strict=True)
-    )
+    done = dict(zip(tasks, _compute(list(tasks.values()), workers, client, progress), strict=True))
     for cell, looks in plan.cells.items():
         summaries: list[Summary | None] = [None] * len(plan.looks)
         for k in looks:
@@ -263,33 +280,21 @@ def _failure(cell: Cell, look: Look, fault: str) -> dict[str, Any]:
 def _compute(
     tasks: list[Any],
     workers: int | None,
-    scheduler: str | None,
+    client: Any,
     progress: Callable[[int, int], None] | None,
 ) -> Sequence[LookResult]:
     tick = _Ticker(len(tasks), progress)
-    if scheduler is not None:
-        return _compute_on_cluster(tasks, scheduler, tick)
+    results: Sequence[LookResult]
+    if client is not None:
+        futures = client.compute(tasks)
+        for future in futures:
+            future.add_done_callback(lambda _: tick())
+        results = client.gather(futures)
+        return results
     with Callback(posttask=lambda key, *_: tick() if str(key).startswith("_run_look") else None):
-        results: Sequence[LookResult] = dask.compute(
+        results = dask.compute(
             *tasks, scheduler="threads", num_workers=workers or os.cpu_count() or 1
         )
-    return results
-
-
-def _compute_on_cluster(
-    tasks: list[Any], scheduler: str, tick: Callable[[], None]
-) -> Sequence[LookResult]:
-    from distributed import Client, as_completed  # heavy, and only clusters need it
-
-    try:
-        client = Client(scheduler, timeout="10s", set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {scheduler}: no dask scheduler answers: {error}") from None
-    with client:
-        futures = client.compute(tasks)
-        for _ in as_completed(futures):
-            tick()
-        results: Sequence[LookResult] = client.gather(futures)
     return results
 
 
