@@ -26,7 +26,7 @@ NARROW_WEIGHT = 0.7
 # Variances of the proposal's two Gaussians, for f and A_H alike (ZC 3.2.3).
 NARROW_VARIANCE, WIDE_VARIANCE = 0.01, 0.1
 # The paper gives no number; with this one the printed errors come out (SCIENCE 3).
-ITERATIONS = 4000
+ITERATIONS = 5000
 
 
 class PublishedData(NamedTuple):
