@@ -33,30 +33,31 @@ ENTRIES = (
     (36.6, 48.2, 0.6, 0.07, 6e-6, 0.002),
 )
 FINE = 40
+SIZE = 500
 
 
 def simulate_clip(
-    near: float, far: float, frequency: float, height: float, shadow: str, seed: int, size: int = 500
+    near: float, far: float, frequency: float, height: float, shadow: str, seed: int
 ) -> Clip:
     """One clip of ZC 4.1: phase zero at the track, Rayleigh speckle of parameter 100."""
-    step = (far - near) / size
-    r = near + step * (np.arange(size) + 0.5)
+    step = (far - near) / SIZE
+    r = near + step * (np.arange(SIZE) + 0.5)
     phase = 2 * np.pi * frequency * r
     lit = lit_amplitude(np.arctan2(ALTITUDE, r), np.cos(phase), 1.0, 2 * np.pi * frequency * height)
     if shadow == "crest":
         hidden = shadow_crest_rule(phase, r, ALTITUDE, frequency, height)
     else:
-        before = (int(size / (frequency * (far - near))) + 1) * FINE
-        fine = r[0] + step / FINE * np.arange(-before, FINE * size)
+        before = (int(SIZE / (frequency * (far - near))) + 1) * FINE
+        fine = r[0] + step / FINE * np.arange(-before, FINE * SIZE)
         ahead = fine > 1e-3
         floor = height * np.sin(2 * np.pi * frequency * fine[ahead])
         every = np.zeros(fine.size, bool)
         every[ahead] = shadow_line_of_sight(floor, fine[ahead], ALTITUDE)
         hidden = every[before::FINE]
     rng = np.random.default_rng(seed)
-    amplitude = np.where(hidden, 0.0, lit) * rng.rayleigh(100.0, (size, size))
+    amplitude = np.where(hidden, 0.0, lit) * rng.rayleigh(100.0, (SIZE, SIZE))
     x = np.broadcast_to(r, amplitude.shape)
-    y = np.broadcast_to(step * np.arange(size)[::-1, None], amplitude.shape)
+    y = np.broadcast_to(step * np.arange(SIZE)[::-1, None], amplitude.shape)
     altitude = np.full(amplitude.shape, ALTITUDE)
     return Clip(amplitude, x, y, x, altitude, np.full(amplitude.shape, 90.0), step)
 
@@ -84,10 +85,11 @@ def main() -> None:
                 mean = posterior.mean
                 errors.append([float(mean.frequency) - frequency, float(mean.height) - height])
         f, h = (np.array(errors) ** 2).mean(axis=0)
+        missing = options.clips - len(errors)
+        lost = f"  {missing} not found" if missing else ""
         print(
             f"{near:5.1f} - {far:4.1f}  {frequency:.1f}  {height:.2f} | {f:.1e} ({printed_f:.0e}) "
-            f"| {h:.1e} ({printed_height:.0e}) | {good:3d}   {np.median(seconds):.2f}"
-            + ("" if len(errors) == options.clips else f"  {options.clips - len(errors)} not found"),
+            f"| {h:.1e} ({printed_height:.0e}) | {good:3d}   {np.median(seconds):.2f}{lost}",
             flush=True,
         )
 
