@@ -32,7 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.call(options))
     except InputError as error:
         for fault in error.faults:
-            print(f"sasmap: {fault}", file=sys.stderr)
+            readable = fault.encode("utf-8", "backslashreplace").decode()
+            print(f"sasmap: {readable}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("sasmap: interrupted; run again to go on from here", file=sys.stderr)

@@ -100,6 +100,17 @@ class Survey(_Block):
     def _known_crs(cls, value: str | None) -> str | None:
         return _check_crs(value)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _empty_blocks(cls, content: Any) -> Any:
+        """Give a block that is named but left empty its defaults."""
+        if not isinstance(content, dict):
+            return content
+        empty: dict[str, Any] = {
+            k: {} for k in ("ripples", "sediments") if k in content and content[k] is None
+        }
+        return content | empty
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         names = [p.name for p in self.passes]
@@ -201,7 +212,7 @@ def _check_crs(value: str | None) -> str | None:
     if value is not None:
         try:
             pyproj.CRS.from_user_input(value)
-        except pyproj.exceptions.CRSError:
+        except pyproj.exceptions.ProjError:
             raise ValueError(f"expected a CRS such as EPSG:32617, got {value!r}") from None
     return value
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
@@ -10,15 +11,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import dask
 import numpy as np
+import xarray as xr
 from dask.callbacks import Callback
 
 from sasmap.config import Survey
 from sasmap.errors import InputError
+from sasmap.productnames import MANIFEST, RIPPLE_PRODUCTS
 from sasmap.products.files import write_text
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
 from sasmap.ripples.clip import Clip
@@ -27,8 +31,9 @@ from sasmap.ripples.passes import Summary, cell_quality, next_prior, summarise
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.store import Store, code_version, digest
 from sasmap.survey.cells import Cell
-from sasmap.survey.passes import OpenSurvey, Side, SonarPass, covers, open_survey, read_clip
-from sasmap.survey.tiles import hash_file
+from sasmap.survey.navigation import Track
+from sasmap.survey.passes import OpenSurvey, Side, SonarPass, open_survey, read_clip, tiles_of_cells
+from sasmap.survey.tiles import Tile, hash_file
 
 log = logging.getLogger("sasmap")
 
@@ -59,7 +64,9 @@ class Plan:
     opened : OpenSurvey
     looks : tuple of Look
     cells : dict of Cell to tuple of int
-        The looks (indices) whose tiles meet each cell.
+        The looks (indices) whose tiles meet each cell that any meet.
+    tiles : dict of str to dict of Cell to tuple of Tile
+        By pass, the tiles that may show each cell.
     hashes : dict of Path to str
         SHA-256 of every input file.
     left_out : tuple of str
@@ -69,6 +76,7 @@ class Plan:
     opened: OpenSurvey
     looks: tuple[Look, ...]
     cells: dict[Cell, tuple[int, ...]]
+    tiles: dict[str, dict[Cell, tuple[Tile, ...]]]
     hashes: dict[Path, str]
     left_out: tuple[str, ...]
 
@@ -80,7 +88,9 @@ class Plan:
     @property
     def run_id(self) -> str:
         """Hash of inputs, settings, code version and seed."""
-        settings = self.settings.model_dump(mode="json", exclude={"output"})
+        # inputs count by what they hold, not by where they lie
+        places: Any = {"passes": {"__all__": {"tiles", "navigation"}}, "output": True}
+        settings = self.settings.model_dump(mode="json", exclude=places)
         return digest([self._inputs(), settings, code_version()])[:16]
 
     def _inputs(self) -> list[list[str]]:
@@ -136,10 +146,10 @@ def make_plan(survey: Survey) -> Plan:
     """
     opened = open_survey(survey)
     looks = tuple(Look(p, side) for p in opened.passes for side in p.sides)
-    meets = {p.name: _cells_met(opened, p) for p in opened.passes}
+    tiles = {p.name: tiles_of_cells(p, opened.grid) for p in opened.passes}
     cells = {
-        cell: tuple(k for k, look in enumerate(looks) if cell in meets[look.sonar_pass.name])
-        for cell in opened.grid
+        cell: tuple(k for k, look in enumerate(looks) if cell in tiles[look.sonar_pass.name])
+        for cell in sorted({cell for met in tiles.values() for cell in met})
     }
     files = {f for p in opened.passes for f in _files(p)}
     left_out = [] if survey.ripples else ["ripples: the survey file has no ripples block"]
@@ -147,11 +157,8 @@ def make_plan(survey: Survey) -> Plan:
         left_out.append("sediments: the survey file has no sediments block")
     else:
         left_out.append(SEDIMENTS_NOTE)
-    return Plan(opened, looks, cells, {f: hash_file(f) for f in sorted(files)}, tuple(left_out))
-
-
-def _cells_met(opened: OpenSurvey, sonar_pass: SonarPass) -> set[Cell]:
-    return {cell for cell in opened.grid if covers(sonar_pass, opened.grid, cell)}
+    hashes = {f: hash_file(f) for f in sorted(files)}
+    return Plan(opened, looks, cells, tiles, hashes, tuple(left_out))
 
 
 def _files(sonar_pass: SonarPass) -> list[Path]:
@@ -192,11 +199,13 @@ def run_survey(
     InputError
         Before anything is written or changed.
     """
+    if output is not None:
+        survey = survey.model_copy(update={"output": str(Path(output).absolute())})
     clock = _Clock()
     with clock.stage("check"):
         plan = make_plan(survey)
     with _cluster(scheduler) as client:
-        store = Store(_made(output or survey.output_folder))
+        store = Store(_made(survey.output_folder))
         for warning in plan.opened.warnings:
             log.warning(warning)
         store.remove_leftovers()
@@ -209,6 +218,10 @@ def run_survey(
     if survey.ripples is not None:
         with clock.stage("products"):
             _write_ripples(plan, store, outcome)
+    else:
+        left = [name for name in RIPPLE_PRODUCTS if (store.output / name).exists()]
+        if left:
+            log.warning("of an earlier run, not of this one: %s", ", ".join(left))
     _write_manifest(plan, store, outcome)
     return outcome
 
@@ -325,7 +338,7 @@ def _run_look(context: _Context, cell: Cell, k: int, earlier: list[LookResult]) 
 
 def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
     plan, store = context
-    look, grid = plan.looks[k], plan.opened.grid
+    look = plan.looks[k]
     settings = plan.settings.ripples
     assert settings is not None
     prior = next_prior(earlier, settings)
@@ -333,19 +346,37 @@ def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> Look
     kept = store.load(key)
     if kept is not None:
         return LookResult(kept, None, False)
-    clip = read_clip(look.sonar_pass, grid, cell, look.side)
+    clip = _clip(plan, cell, look, look.side)
     if clip is None:
         summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
+    elif _shown(plan, cell, look, clip) < MIN_VALID:
+        summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
     else:
-        pixels = int(np.isfinite(clip.values).sum())
-        if pixels * clip.attrs["pixel_size"] ** 2 < MIN_VALID * grid.size**2:
-            summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
-        else:
-            rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
-            posterior = estimate(Clip.from_array(clip), settings, rng=rng, prior=prior)
-            summary = summarise(posterior)
+        rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
+        summary = summarise(estimate(Clip.from_array(clip), settings, rng=rng, prior=prior))
     store.save(key, summary)
     return LookResult(summary, None, True)
+
+
+def _clip(plan: Plan, cell: Cell, look: Look, side: Side) -> xr.DataArray | None:
+    tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
+    return read_clip(look.sonar_pass, plan.opened.grid, cell, side, tiles)
+
+
+def _shown(plan: Plan, cell: Cell, look: Look, clip: xr.DataArray) -> float:
+    """Fraction of a cell that a look's pass shows, its other side included if that matters."""
+
+    def fraction(part: xr.DataArray | None) -> float:
+        if part is None:
+            return 0.0
+        area = int(np.isfinite(part.values).sum()) * part.attrs["pixel_size"] ** 2
+        return float(area / plan.opened.grid.size**2)
+
+    shown = fraction(clip)
+    for side in look.sonar_pass.sides:
+        if side != look.side and shown < MIN_VALID:
+            shown += fraction(_clip(plan, cell, look, side))
+    return shown
 
 
 def _seed(seed: int, look: Look, cell: Cell) -> np.random.SeedSequence:
@@ -356,7 +387,7 @@ def _seed(seed: int, look: Look, cell: Cell) -> np.random.SeedSequence:
 
 def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
     grid, sonar_pass = plan.opened.grid, look.sonar_pass
-    tiles = covers(sonar_pass, grid, cell)
+    tiles = plan.tiles[sonar_pass.name].get(cell, ())
     assert plan.settings.ripples is not None
     return digest(
         {
@@ -367,10 +398,18 @@ def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
             "cell": list(cell),
             "pass": [look.label, look.side, sonar_pass.slant],
             "tiles": [plan.hashes[tile.path] for tile in tiles],
-            "navigation": plan.hashes[sonar_pass.navigation],
+            "track": _track_hash(sonar_pass.track),
             "prior": repr(prior),
         }
     )
+
+
+@lru_cache(maxsize=1024)
+def _track_hash(track: Track) -> str:
+    state = hashlib.sha256()
+    for values in (track.x, track.y, track.altitude):
+        state.update(values.tobytes())
+    return state.hexdigest()
 
 
 def _tags(plan: Plan) -> dict[str, str]:
@@ -405,7 +444,7 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
 
 
 def _write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
-    path = store.output / "run.json"
+    path = store.output / MANIFEST
     outcome.written.append(path)
     base = plan.settings.path.parent
     content = {

@@ -103,9 +103,30 @@ def load_yaml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: {_one_line(error)}") from None
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: a value does not fit its tag: {_short(error)}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected 'key: value' lines at the top level")
     return content
+
+
+class _CoreDumper(yaml.SafeDumper):
+    """SafeDumper that quotes whatever `load_yaml` would not read back as text."""
+
+
+for _tag, _pattern, _first in _SCALARS:
+    _CoreDumper.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), [c if c != "\0" else "" for c in _first]
+    )
+
+
+def dump_yaml(content: dict[str, Any]) -> str:
+    """Write a mapping as YAML that :func:`load_yaml` reads back to the same values."""
+    return yaml.dump(content, Dumper=_CoreDumper, sort_keys=False, allow_unicode=True)
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:100]
 
 
 def _one_line(error: yaml.YAMLError) -> str:

@@ -99,8 +99,9 @@ class Scene(_Block):
             crs = pyproj.CRS.from_user_input(value)
         except pyproj.exceptions.CRSError:
             raise ValueError(f"expected a CRS such as EPSG:32617, got {value!r}") from None
-        if not crs.is_projected:
-            raise ValueError(f"expected a projected CRS, got {value!r}")
+        metres = all(abs(axis.unit_conversion_factor - 1) < 1e-9 for axis in crs.axis_info[:2])
+        if not (crs.is_projected and metres):
+            raise ValueError(f"expected a projected CRS in metres, got {value!r}")
         return value
 
     @model_validator(mode="after")
@@ -108,8 +109,12 @@ class Scene(_Block):
         names = [p.name for p in self.passes]
         if len(set(names)) < len(names):
             raise ValueError("passes: expected a name of its own for each")
-        if any("/" in name or name.startswith(".") for name in names):
-            raise ValueError("passes: expected names that can name a folder")
+        if any(set(name) & set("/*?[]") or name.startswith(".") for name in names):
+            raise ValueError("passes: expected names that can name a folder, without * ? [ ]")
+        if set(names) & {"out", "truth"}:
+            raise ValueError(
+                "passes: expected other names than out and truth, folders of their own"
+            )
         if self.sediments[0].polygon is not None:
             raise ValueError("sediments: expected the first one without a polygon, everywhere")
         if len(self.sediments) > 250:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyproj
 import rasterio
-import yaml
 from affine import Affine
 from numpy.typing import NDArray
 
@@ -21,6 +21,7 @@ from sasmap.products.rasters import Category, Layer, as_bands, float_layer, writ
 from sasmap.simulate.image import NODATA, record, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
+from sasmap.yamlfile import dump_yaml
 
 FloatArray = NDArray[np.float64]
 
@@ -75,10 +76,14 @@ def simulate(scene: Scene, output: str | Path) -> list[Path]:
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
     scratch = folder / ".sasmap-simulate"
+    shutil.rmtree(scratch, ignore_errors=True)
     floor = SeaFloor(scene)
     written = []
     for k, scene_pass in enumerate(scene.passes):
-        written += _write_tiles(scene, floor, scene_pass, k, folder, scratch)
+        tiles = _write_tiles(scene, floor, scene_pass, k, folder, scratch)
+        if not tiles:
+            raise InputError(f"passes.{scene_pass.name}: sees nothing of the scene")
+        written += tiles
         written.append(folder / f"{scene_pass.name}.csv")
         write_text(written[-1], _navigation(scene, scene_pass), scratch)
     written += _write_truth(scene, floor, folder / "truth", scratch)
@@ -115,6 +120,8 @@ def _write_tiles(
     scene: Scene, floor: SeaFloor, scene_pass: ScenePass, k: int, folder: Path, scratch: Path
 ) -> list[Path]:
     whole = pass_raster(scene, scene_pass)
+    for old in (folder / scene_pass.name).glob(f"{scene_pass.name}_r*_c*.tif"):
+        old.unlink()  # a smaller or coarser scene has fewer tiles
     side = scene_pass.tile
     written = []
     for i, top in enumerate(range(0, whole.rows, side)):
@@ -303,4 +310,4 @@ def _survey(scene: Scene) -> str:
         "ripples": {"method": "default", "shadow": scene.shadow},
         "sediments": {"classes": "auto"},
     }
-    return yaml.safe_dump(content, sort_keys=False)
+    return dump_yaml(content)

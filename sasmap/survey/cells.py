@@ -16,6 +16,7 @@ from sasmap.survey.lattice import FloatArray
 from sasmap.survey.tiles import Tile
 
 MAX_STRETCH = 0.02
+MAX_CELLS = 4_000_000
 
 
 class Cell(NamedTuple):
@@ -61,6 +62,18 @@ class CellGrid:
         left, top = self.left + cell.column * self.size, self.top - cell.row * self.size
         return left, top - self.size, left + self.size, top
 
+    def met_by(self, tile: Tile, reach: float) -> Iterator[Cell]:
+        """Cells that a tile's bounding box, widened by `reach` (m), overlaps."""
+        x, y = tile.outline_in(self.crs)
+        slack = 1e-6 * self.size
+        first = np.floor((x.min() - reach - self.left + slack) / self.size)
+        last = np.floor((x.max() + reach - self.left - slack) / self.size)
+        upper = np.floor((self.top - y.max() - reach + slack) / self.size)
+        lower = np.floor((self.top - y.min() + reach - slack) / self.size)
+        for row in range(max(int(upper), 0), min(int(lower), self.rows - 1) + 1):
+            for column in range(max(int(first), 0), min(int(last), self.columns - 1) + 1):
+                yield Cell(row, column)
+
     def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
         """Whether map points lie in a cell; each point lies in exactly one cell."""
         column = np.floor((x - self.left) / self.size + 1e-9)
@@ -103,6 +116,11 @@ def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
     slack = 1e-3 / window
     columns = max(1, int(np.ceil((right - left) / size - slack)))
     rows = max(1, int(np.ceil((top - bottom) / size - slack)))
+    if rows * columns > MAX_CELLS:
+        raise InputError(
+            f"{tiles[0].path}: the tiles span {rows} x {columns} cells of {size:g} m: expected at "
+            f"most {MAX_CELLS}; split the survey or choose a larger window"
+        )
     return CellGrid(crs, float(left), float(top), size, rows, columns)
 
 

@@ -10,6 +10,8 @@ import pyproj
 from affine import Affine
 from numpy.typing import NDArray
 
+from sasmap.errors import InputError
+
 FloatArray = NDArray[np.float64]
 
 # Two lattices are one where their pixels coincide to this fraction of a pixel.
@@ -93,8 +95,12 @@ def transform_points(
     """
     if source == target:
         return x, y
-    transformer = pyproj.Transformer.from_crs(source, target, always_xy=True)
-    moved_x, moved_y = transformer.transform(x, y)
+    try:
+        transformer = pyproj.Transformer.from_crs(source, target, always_xy=True)
+        moved_x, moved_y = transformer.transform(x, y)
+    except pyproj.exceptions.ProjError:
+        names = [pyproj.CRS.from_user_input(crs).name for crs in (source, target)]
+        raise InputError(f"no transformation leads from CRS {names[0]!r} to {names[1]!r}") from None
     return np.asarray(moved_x, float), np.asarray(moved_y, float)
 
 

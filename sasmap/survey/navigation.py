@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 WGS84 = "EPSG:4326"
 # Below this grazing angle nothing is seen: farther tiles belong to another track.
 MAX_REACH = 5.0
+# Port and starboard are told by the course over this length to either side, m.
+COURSE_LENGTH = 3.0
 MIN_GRAZING = np.radians(0.5)
 
 
@@ -44,7 +46,7 @@ class Geometry(NamedTuple):
     starboard: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Track:
     """A sonar track as a polyline in map coordinates, one vertex a ping.
 
@@ -78,7 +80,7 @@ class Track:
         points = np.ascontiguousarray(x, float).ravel(), np.ascontiguousarray(y, float).ravel()
         out = np.empty((3, points[0].size))
         starboard = np.empty(points[0].size, np.bool_)
-        _locate(*points, *self._extended(), out, starboard)
+        _locate(*points, *self._extended(), *self._course(), out, starboard)
         distance, altitude, azimuth = (row.reshape(shape) for row in out)
         return Geometry(distance, altitude, azimuth, starboard.reshape(shape))
 
@@ -97,31 +99,50 @@ class Track:
         altitude = np.concatenate([self.altitude[:1], self.altitude, self.altitude[-1:]])
         return ends[0], ends[1], altitude
 
+    def _course(self) -> tuple[FloatArray, FloatArray]:
+        """Direction of the extended track's segments, each over a few metres of track.
+
+        Jitter can make single steps run backwards; they must not turn port into starboard.
+        """
+        n = self.x.size
+        far = min(20, n - 1)
+        net = np.hypot(self.x[far:] - self.x[:-far], self.y[far:] - self.y[:-far]) / far
+        half = int(np.clip(np.ceil(COURSE_LENGTH / max(float(np.median(net)), 1e-9)), 1, n - 1))
+        segment = np.clip(np.arange(-1, n), 0, n - 2)
+        behind, ahead = np.maximum(segment - half + 1, 0), np.minimum(segment + half + 1, n)
+        course = []
+        for v in (self.x, self.y):
+            total = np.concatenate([[0.0], np.cumsum(v - v[0])])
+            before = (total[segment + 1] - total[behind]) / (segment + 1 - behind)
+            after = (total[ahead] - total[segment + 1]) / (ahead - segment - 1)
+            course.append(after - before)
+        return course[0], course[1]
+
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _locate(px, py, tx, ty, altitude, out, starboard):  # type: ignore[no-untyped-def]
+def _locate(px, py, tx, ty, altitude, cx, cy, out, starboard):  # type: ignore[no-untyped-def]
     """Exact nearest point on a polyline; runs of points share a pruned list of segments."""
     n, segments = px.size, tx.size - 1
     run = 64
     near = np.empty(segments, np.int64)
     for start in range(0, n, run):
         stop = min(start + run, n)
-        cx, cy = px[start], py[start]
+        mx, my = px[start], py[start]
         radius = 0.0
         for i in range(start, stop):
-            radius = max(radius, np.hypot(px[i] - cx, py[i] - cy))
+            radius = max(radius, np.hypot(px[i] - mx, py[i] - my))
         best = np.inf
         for s in range(segments):
-            d, _ = _segment_distance(cx, cy, tx, ty, s)
+            d, _ = _segment_distance(mx, my, tx, ty, s)
             best = min(best, d)
         count = 0
         for s in range(segments):
-            d, _ = _segment_distance(cx, cy, tx, ty, s)
+            d, _ = _segment_distance(mx, my, tx, ty, s)
             if d <= best + 2.0 * radius + 1e-9:
                 near[count] = s
                 count += 1
         for i in range(start, stop):
-            _nearest(i, px[i], py[i], tx, ty, altitude, near[:count], out, starboard)
+            _nearest(i, px[i], py[i], tx, ty, altitude, cx, cy, near[:count], out, starboard)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -133,7 +154,7 @@ def _segment_distance(x, y, tx, ty, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(i, x, y, tx, ty, altitude, near, out, starboard):  # type: ignore[no-untyped-def]
+def _nearest(i, x, y, tx, ty, altitude, cx, cy, near, out, starboard):  # type: ignore[no-untyped-def]
     best, at, along = np.inf, -1, 0.0
     for s in near:
         d, t = _segment_distance(x, y, tx, ty, s)
@@ -145,7 +166,7 @@ def _nearest(i, x, y, tx, ty, altitude, near, out, starboard):  # type: ignore[n
         return
     dx, dy = tx[at + 1] - tx[at], ty[at + 1] - ty[at]
     ex, ey = x - tx[at] - along * dx, y - ty[at] - along * dy
-    starboard[i] = dx * ey - dy * ex < 0.0
+    starboard[i] = cx[at] * ey - cy[at] * ex < 0.0
     if best < 1e-9:  # on the track itself: the beam's direction
         ex, ey = (dy, -dx) if starboard[i] else (-dy, dx)
     out[0, i] = best
@@ -181,7 +202,12 @@ def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | N
     header = [name.strip().lower() for name in rows[0]]
     if "altitude" not in header:
         raise InputError(f"{path}: no column 'altitude': expected metres above the sea floor")
-    geographic = {"longitude", "latitude"} <= set(header)
+    wanted = pyproj.CRS.from_user_input(navigation_crs or WGS84)
+    geographic = {"longitude", "latitude"} <= set(header) and not (
+        wanted.is_projected and {"x", "y"} <= set(header)
+    )
+    if geographic and not wanted.is_geographic:
+        raise InputError(f"{path}: navigation_crs {wanted.name!r} needs columns x, y; got {header}")
     names = ("longitude", "latitude") if geographic else ("x", "y")
     if not set(names) <= set(header):
         raise InputError(f"{path}: expected columns longitude, latitude or x, y; got {header}")
@@ -216,7 +242,10 @@ def _read_rows(path: Path) -> tuple[list[int], list[list[str]]]:
     """Return line numbers and cells of the rows that are not blank."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
+            first = stream.readline()
+            stream.seek(0)
+            mark = max(",;\t", key=first.count)
+            reader = csv.reader(stream, delimiter=mark)
             found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

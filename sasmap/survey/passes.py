@@ -13,6 +13,7 @@ import xarray as xr
 
 from sasmap.config import PassSettings, Survey
 from sasmap.errors import InputError
+from sasmap.productnames import PRODUCTS
 from sasmap.survey.cells import Cell, CellGrid, check_grid_crs, lay_grid
 from sasmap.survey.lattice import (
     FloatArray,
@@ -23,10 +24,11 @@ from sasmap.survey.lattice import (
     transform_points,
 )
 from sasmap.survey.navigation import MIN_GRAZING, Track, read_navigation
-from sasmap.survey.tiles import Amplitude, Tile, find_tiles, gather, has_valid_pixel, inspect_tile
+from sasmap.survey.tiles import Amplitude, Tile, find_tiles, gather, inspect_tile, read_tile
 
 Side = Literal["port", "starboard"]
 CHUNK = 1024
+CHECKED_PIXELS = 500_000
 
 ATTRIBUTES = {
     "ground_range": {"units": "m", "long_name": "horizontal distance from the track"},
@@ -124,11 +126,12 @@ def open_survey(survey: Survey) -> OpenSurvey:
     for settings in survey.passes:
         try:
             passes.append(_open(survey, settings, tiles[settings.name], crs))
-            warnings += _check_pixels(passes[-1])
+            warnings += _check_pixels(passes[-1], crs)
         except InputError as error:
             faults.extend(error.faults)
     if faults:
         raise InputError(dict.fromkeys(faults))
+    _check_output(survey, passes)
     return OpenSurvey(survey, grid, tuple(passes), tuple(warnings))
 
 
@@ -141,7 +144,7 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
             faults.append(
                 f"{survey.path}: passes.{settings.name}.tiles: no file matches {pattern!r}"
             )
-        paths.extend(found)
+        paths.extend(p for p in found if not _is_product(survey, p))
     for path in dict.fromkeys(paths):
         try:
             tiles.append(inspect_tile(path))
@@ -150,6 +153,21 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
     if faults:
         raise InputError(faults)
     return tuple(tiles)
+
+
+def _is_product(survey: Survey, path: Path) -> bool:
+    """Whether a path that a glob found is what an earlier run wrote."""
+    inside = path.resolve().parent == survey.output_folder.resolve()
+    return inside and path.name in PRODUCTS
+
+
+def _check_output(survey: Survey, passes: list[SonarPass]) -> None:
+    """Refuse an output folder in which a product would replace an input."""
+    folder = survey.output_folder.resolve()
+    inputs = {f for p in passes for f in (*(t.path for t in p.tiles), p.navigation)}
+    for path in sorted(inputs | {survey.path}):
+        if path.resolve().parent == folder and path.name in PRODUCTS:
+            raise InputError(f"{path}: a product of that name would replace this input; move one")
 
 
 def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
@@ -211,20 +229,33 @@ def _check_seen(sonar_pass: SonarPass, tile: Tile, crs: str) -> list[str]:
     return []
 
 
-def _check_pixels(sonar_pass: SonarPass) -> list[str]:
+def _check_pixels(sonar_pass: SonarPass, crs: str) -> list[str]:
+    """Check that the pass shows a pixel of sea floor; return a line for each tile that does not."""
     empty = []
     for tile in sonar_pass.tiles:
         try:
-            if not has_valid_pixel(tile):
+            if not _shows_floor(sonar_pass, tile, crs):
                 empty.append(tile)
         except OSError:
             continue  # an undecodable block fails its cells, not the survey
     if len(empty) == len(sonar_pass.tiles):
         raise InputError(
-            f"{empty[0].path}: pass {sonar_pass.name!r} has no valid pixel: expected amplitudes "
-            "of zero or more that are not nodata"
+            f"{empty[0].path}: pass {sonar_pass.name!r} has no valid pixel: expected amplitudes of "
+            "zero or more, not nodata, on a side it shows, outside the water column"
         )
     return [f"{tile.path}: holds no valid pixel" for tile in empty]
+
+
+def _shows_floor(sonar_pass: SonarPass, tile: Tile, crs: str) -> bool:
+    rows = max(1, CHECKED_PIXELS // max(tile.window.width, 1))
+    for row in range(0, tile.window.height, rows):
+        part = Window(row, 0, min(rows, tile.window.height - row), tile.window.width)
+        valid = ~np.isnan(read_tile(tile, part))
+        if valid.any():
+            seen = view(sonar_pass, crs, tile.lattice, part)["ground_range"]
+            if (valid & ~np.isnan(seen)).any():
+                return True
+    return False
 
 
 def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> dict[str, Any]:
@@ -363,24 +394,22 @@ def _array(values: Any, coordinates: dict[str, Any], crs: str, name: str) -> xr.
     return array
 
 
-def covers(sonar_pass: SonarPass, grid: CellGrid, cell: Cell) -> tuple[Tile, ...]:
-    """Return the tiles of a pass whose bounding box meets a cell, in order of precedence."""
-    left, bottom, right, top = grid.bounds(cell)
-    reach = sonar_pass.reach
-    met = []
+def tiles_of_cells(sonar_pass: SonarPass, grid: CellGrid) -> dict[Cell, tuple[Tile, ...]]:
+    """Return the tiles of a pass that may show each cell, in order of precedence."""
+    met: dict[Cell, tuple[Tile, ...]] = {}
     for tile in sonar_pass.tiles:
-        x, y = tile.outline_in(grid.crs)
-        if (
-            x.max() > left - reach
-            and x.min() < right + reach
-            and y.max() > bottom - reach
-            and y.min() < top + reach
-        ):
-            met.append(tile)
-    return tuple(met)
+        for cell in grid.met_by(tile, sonar_pass.reach):
+            met[cell] = (*met.get(cell, ()), tile)
+    return met
 
 
-def read_clip(sonar_pass: SonarPass, grid: CellGrid, cell: Cell, side: Side) -> xr.DataArray | None:
+def read_clip(
+    sonar_pass: SonarPass,
+    grid: CellGrid,
+    cell: Cell,
+    side: Side,
+    tiles: tuple[Tile, ...] | None = None,
+) -> xr.DataArray | None:
     """Read what one side of a pass shows of a cell.
 
     The clip is on the lattice of the tile that covers most of the cell.
@@ -391,6 +420,8 @@ def read_clip(sonar_pass: SonarPass, grid: CellGrid, cell: Cell, side: Side) -> 
     grid : CellGrid
     cell : Cell
     side : {"port", "starboard"}
+    tiles : tuple of Tile, optional
+        What :func:`tiles_of_cells` gives for the cell; found here if not given.
 
     Returns
     -------
@@ -403,7 +434,8 @@ def read_clip(sonar_pass: SonarPass, grid: CellGrid, cell: Cell, side: Side) -> 
     OSError
         Where a block of a tile cannot be decoded.
     """
-    tiles = covers(sonar_pass, grid, cell)
+    if tiles is None:
+        tiles = tiles_of_cells(sonar_pass, grid).get(cell, ())
     if not tiles:
         return None
     left, bottom, right, top = grid.bounds(cell)

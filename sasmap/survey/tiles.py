@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import logging
 import os
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +15,7 @@ import numpy as np
 import pyproj
 import rasterio
 import rasterio.windows
+import tifffile
 from affine import Affine
 from numpy.typing import NDArray
 
@@ -87,6 +90,10 @@ def inspect_tile(path: Path) -> Tile:
         Where the file is missing, not a GeoTIFF, truncated, not a single real-valued band, or
         has no usable georeference in a projected CRS.
     """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: expected a file name in UTF-8") from None
     if not path.is_file():
         raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
     try:
@@ -148,15 +155,43 @@ def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
     total = source.height * source.width * item
     if total > 2**32 and total > MAX_EXPANSION * size:
         raise InputError(f"{path}: {size} bytes claim to hold {total}: refused as implausible")
-    for row in range(-(-source.height // height)):
-        for column in range(-(-source.width // width)):
-            offset = source.get_tag_item(f"BLOCK_OFFSET_{column}_{row}", "TIFF", bidx=1)
-            length = source.get_tag_item(f"BLOCK_SIZE_{column}_{row}", "TIFF", bidx=1)
-            if offset is not None and int(offset) + int(length or 0) > size:
-                raise InputError(
-                    f"{path}: truncated: the block of rows {row * height} to "
-                    f"{min((row + 1) * height, source.height) - 1} lies past the end of the file"
-                )
+    _check_directories(path, size)
+
+
+def _check_directories(path: Path, size: int) -> None:
+    """Check the blocks of every image in the file: pixels, overviews, masks."""
+    doubts = _Doubts()
+    logger = logging.getLogger("tifffile")
+    handlers, propagate = logger.handlers, logger.propagate
+    logger.handlers, logger.propagate = [doubts], False  # it tells of a broken chain by a log line
+    try:
+        with tifffile.TiffFile(path) as file:
+            pages = list(file.pages)
+    except (tifffile.TiffFileError, struct.error, ValueError, IndexError, KeyError) as error:
+        raise InputError(f"{path}: truncated or corrupt: {' '.join(str(error).split())}") from None
+    finally:
+        logger.handlers, logger.propagate = handlers, propagate
+    if doubts.lines:
+        raise InputError(f"{path}: truncated: its list of images leads past the end of the file")
+    for k, page in enumerate(pages):
+        offsets, lengths = np.array(page.dataoffsets), np.array(page.databytecounts)
+        if k == 0 and not (offsets * lengths).any():
+            raise InputError(f"{path}: no block of it was ever written")
+        if (offsets + lengths > size).any():
+            block = int((offsets + lengths > size).argmax())
+            raise InputError(f"{path}: truncated: block {block} lies past the end of the file")
+
+
+class _Doubts(logging.Handler):
+    """Keeps what tifffile says of a file's structure."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if "invalid page offset" in record.getMessage() or "corrupted" in record.getMessage():
+            self.lines.append(record.getMessage())
 
 
 def read_tile(tile: Tile, window: Window) -> Amplitude:
@@ -186,6 +221,8 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
         with rasterio.Env(**GDAL_OPTIONS), rasterio.open(tile.path, driver="GTiff") as source:
             raw = source.read(1, window=area)
             missing = source.read_masks(1, window=area) == 0
+            if source.nodata is not None:  # a mask of the file's own hides its nodata value
+                missing |= raw == source.nodata
             scale, offset = source.scales[0], source.offsets[0]
     except rasterio.errors.RasterioError as error:
         raise OSError(f"{tile.path}: {_where(window)} cannot be read: {error}") from None
@@ -262,16 +299,6 @@ def _copy_nearest(tile: Tile, lattice: Lattice, window: Window, mosaic: Amplitud
     np.copyto(mosaic, target.astype(mosaic.dtype), where=np.isnan(mosaic) & inside)
 
 
-def has_valid_pixel(tile: Tile) -> bool:
-    """Whether any pixel of the tile holds an amplitude; reads row blocks until one does."""
-    step = max(1, 4_000_000 // max(tile.window.width, 1))
-    for row in range(0, tile.window.height, step):
-        part = Window(row, 0, min(step, tile.window.height - row), tile.window.width)
-        if not np.isnan(read_tile(tile, part)).all():
-            return True
-    return False
-
-
 def hash_file(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hexadecimal."""
     with open(path, "rb") as stream:
@@ -283,7 +310,7 @@ def find_tiles(folder: Path, pattern: str) -> list[Path]:
 
     A name without wildcards is returned as it is, so that its absence can be told.
     """
-    if not glob.has_magic(pattern):
+    if not glob.has_magic(pattern) or (folder / pattern).is_file():
         return [folder / pattern]
     full = os.path.join(glob.escape(str(folder)), pattern)
     return [Path(name) for name in sorted(glob.glob(full, recursive=True))]

@@ -5,7 +5,7 @@ from affine import Affine
 
 from sasmap.errors import InputError
 from sasmap.survey.lattice import Lattice, Window
-from sasmap.survey.tiles import find_tiles, gather, has_valid_pixel, inspect_tile, read_tile
+from sasmap.survey.tiles import find_tiles, gather, inspect_tile, read_tile
 from tests.helpers import write_tile
 
 NORTH_UP = Affine(0.5, 0, 500000.0, 0, -0.5, 3300000.0)
@@ -130,13 +130,6 @@ def test_gather_from_another_lattice_keeps_pixel_values(tmp_path):
     np.testing.assert_array_equal(~np.isnan(got), inside)
     picked = noise[row[inside].astype(int), column[inside].astype(int)]
     np.testing.assert_array_equal(got[inside], picked)
-
-
-def test_valid_pixels_are_found(tmp_path):
-    empty = np.full((8, 8), np.nan, "float32")
-    assert not has_valid_pixel(inspect_tile(write_tile(tmp_path / "e.tif", empty, NORTH_UP)))
-    empty[7, 7] = 0
-    assert has_valid_pixel(inspect_tile(write_tile(tmp_path / "f.tif", empty, NORTH_UP)))
 
 
 def test_globs_start_from_the_folder_even_with_odd_names(tmp_path):

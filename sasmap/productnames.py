@@ -1,0 +1,12 @@
+"""The names of what a run writes into its output folder (INTERFACE "Products")."""
+
+RIPPLE_PRODUCTS = (
+    "ripple_frequency.tif",
+    "ripple_height.tif",
+    "ripple_quality.tif",
+    "ripple_quality.tif.aux.xml",
+    "ripple_passes.tif",
+    "ripples.nc",
+)
+MANIFEST = "run.json"
+PRODUCTS = frozenset({*RIPPLE_PRODUCTS, MANIFEST})
