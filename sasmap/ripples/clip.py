@@ -121,6 +121,8 @@ class BinnedClip:
         u of the first bin's lower edge and bin width, m; u = 0 at the clip's centre.
     range0, range_slope, altitude0, altitude_slope : ndarray (strips,)
         Ground range and altitude, m, linear in u.
+    shift : ndarray (bins,)
+        Mean place of a bin's pixels, in bins from its centre.
     spread : float
         Width over which a bin's pixels lie, in bins: 0 where each column of pixels is a bin, 1
         where they fill it.
@@ -138,6 +140,7 @@ class BinnedClip:
     range_slope: FloatArray
     altitude0: FloatArray
     altitude_slope: FloatArray
+    shift: FloatArray
     spread: float
     azimuth: float
     mean_power: float
@@ -220,7 +223,9 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
     start = float(u.min()) - step / 2
     bins = int(np.floor((u.max() - start) / step + 1e-6)) + 1
     column = np.minimum(((u - start) / step + 1e-6).astype(np.int64), bins - 1)
-    off_centre = float(np.std((u - start) / step - column - 0.5))
+    place = (u - start) / step - column - 0.5
+    shift = np.bincount(column, place, bins) / np.maximum(np.bincount(column, minlength=bins), 1)
+    around = float(np.sqrt(np.mean((place - shift[column]) ** 2)))
     width = max(np.ptp(v) + step, step)
     strip = np.minimum(((v - v.min()) / width * STRIPS).astype(np.int64), STRIPS - 1)
     index = strip * bins + column
@@ -252,7 +257,8 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
         range_slope,
         altitude0,
         altitude_slope,
-        min(off_centre * np.sqrt(12.0), 1.0),
+        shift,
+        min(around * np.sqrt(12.0), 1.0),
         azimuth,
         mean_power,
     )

@@ -8,7 +8,7 @@ import xarray as xr
 from sasmap.ripples.clip import BinnedClip, Clip, bin_clip, mean_look
 from sasmap.ripples.likelihood import Prior, speckle_data
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality, converged, dataset
-from sasmap.ripples.presence import ripple_peaks, spectrum
+from sasmap.ripples.presence import ripple_peaks, spectrum, too_long
 from sasmap.ripples.published import sample_published
 from sasmap.ripples.sampler import learn_proposal, metropolis
 from sasmap.ripples.settings import RippleSettings
@@ -79,7 +79,9 @@ def _default(
         return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
     peaks = ripple_peaks(found)
     if not peaks.size:
-        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING)
+        unclear = too_long(found, settings.frequency)
+        quality = Quality.NOT_IDENTIFIABLE if unclear else Quality.NO_RIPPLES
+        return Posterior(quality, prior, left_out=LeftOut.SAMPLING)
     shadow = settings.shadow if _can_cast_shadow(binned, prior) else "none"
     pooled = binned.pooled(1 / float(found.frequency[peaks[0]]))
     data = speckle_data(pooled, shadow, binned.altitude_variation)

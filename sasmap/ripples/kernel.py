@@ -56,6 +56,7 @@ class SpeckleData(NamedTuple):
     range_slope: FloatArray
     altitude0: FloatArray
     altitude_slope: FloatArray
+    shift: FloatArray  # mean place of a bin's pixels, in bins from its centre
     spread: float
     smear: float
     shadow: int
@@ -171,7 +172,8 @@ def _hide(lit, begin, end, data):  # type: ignore[no-untyped-def]
     begin, end = 0.5 * begin, 0.5 * end
     smeared = min(data.spread + data.smear * (end - begin), 1.0)
     for i in range(max(int(begin) - 1, 0), min(int(end) + 2, lit.size)):
-        hidden = _share(end - i, smeared) - _share(begin - i, data.spread)
+        at = i + data.shift[i]
+        hidden = _share(end - at, smeared) - _share(begin - at, data.spread)
         lit[i] = max(lit[i] - hidden, 0.0)
 
 
@@ -201,16 +203,14 @@ def relative_intensity(theta, data, strip, shape, weight):  # type: ignore[no-un
     tilt = np.arctan(wave * theta[1])
     damping = np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE))
     noise = np.exp(theta[3])
-    # cos(phase) by rotation: one sine and cosine a strip
     first = wave * (data.start + 0.5 * data.step) + theta[2]
-    c, s = np.cos(first), np.sin(first)
-    turn_c, turn_s = np.cos(wave * data.step), np.sin(wave * data.step)
+    turn = wave * data.step
     for i in range(shape.size):
+        c = np.cos(first + turn * (i + data.shift[i]))
         grow = np.exp(-tilt * data.tilt[strip, i] / SIGMA_VARIANCE)
         a = 1.0 + damping * 0.5 * (grow - 1.0 / grow) * c
         a = max(a, 0.0)
         shape[i] = shape[i] * data.flat[strip, i] * a * a + noise
-        c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -120,6 +120,7 @@ def speckle_data(binned: BinnedClip, shadow: str, variation: float = 0.0) -> Spe
         binned.range_slope,
         binned.altitude0,
         binned.altitude_slope,
+        binned.shift,
         max(binned.spread, MIN_SPREAD),
         smear,
         SHADOWS[shadow],

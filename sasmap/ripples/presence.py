@@ -13,7 +13,7 @@ from sasmap.ripples.clip import BinnedClip
 FloatArray = NDArray[np.float64]
 
 # A clip must hold this many wavelengths, and a wavelength this many pixels, to show a ripple.
-MIN_WAVES = 4.0
+MIN_WAVES = 3.5
 MIN_PIXELS = 4.0
 FALSE_ALARM = 1e-3
 # A ripple's line stands this far above the spectrum around it; what is left of trends, beam
@@ -160,6 +160,30 @@ def ripple_peaks(found: Spectrum, most: int = 3) -> NDArray[np.int64]:
     index = np.flatnonzero(passed)
     index = index[np.argsort(-found.power[index], kind="stable")]
     return np.array([i for i in index.tolist() if _in_both_halves(found, i)][:most], np.int64)
+
+
+def too_long(found: Spectrum, bounds: tuple[float, float]) -> bool:
+    """Whether the strips share a strong wave that is too long for the clip to show it is one.
+
+    Parameters
+    ----------
+    found : Spectrum
+    bounds : tuple of float
+        Frequencies of the prior, cycles/m.
+
+    Returns
+    -------
+    bool
+        True where a peak between 1.5 and MIN_WAVES wavelengths a clip, within the bounds, has a
+        contrast of at least 0.3 and strips that agree beyond chance.
+    """
+    length = found.u[-1] - found.u[0]
+    f, power = found.frequency, found.power
+    low = (f >= max(1.5 / length, bounds[0])) & (found.peak == 0)
+    agree = _chance(found.agreement, len(found.profiles)) < FALSE_ALARM
+    top = np.zeros(f.size, bool)
+    top[1:-1] = (power[1:-1] > power[:-2]) & (power[1:-1] > power[2:])
+    return bool((low & agree & top & (2 * np.sqrt(power) > 0.3)).any())
 
 
 def _in_both_halves(found: Spectrum, index: int) -> bool:
