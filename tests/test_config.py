@@ -75,3 +75,11 @@ def test_schema_describes_every_key():
         "name", "output", "crs", "window", "seed", "passes", "ripples", "sediments",
     }  # fmt: skip
     assert schema["additionalProperties"] is False
+
+
+def test_an_empty_block_takes_its_defaults(tmp_path):
+    path = small_survey(tmp_path)
+    path.write_text(path.read_text().replace("ripples: {}", "ripples:\nsediments:"))
+    survey = load_survey(path)
+    assert survey.ripples.frequency == (0.05, 5.0)
+    assert survey.sediments.classes == "auto"

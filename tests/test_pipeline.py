@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
+from affine import Affine
 from rio_cogeo import cog_validate
 
 import sasmap
 from sasmap.cli import main
 from sasmap.pipeline import make_plan, run_survey
-from tests.helpers import small_survey
+from tests.helpers import small_survey, write_tile
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data"
 PRODUCTS = (
@@ -254,3 +255,46 @@ def test_cluster_gives_the_same_bytes(tmp_path):
         outcome = run_survey(survey, output=tmp_path / "b", scheduler=cluster.scheduler_address)
     assert outcome.computed == 6
     assert products(tmp_path / "a" / "out") == products(tmp_path / "b")
+
+
+def test_a_cell_seen_from_both_sides_counts_both(tmp_path):
+    # the track runs through the cell; each side shows a fifth of it, both together more
+    path = small_survey(tmp_path, window=60)
+    values = np.full((60, 60), np.nan, "float32")
+    values[:, 18:42] = np.random.default_rng(1).rayleigh(1, (60, 24))
+    corner = Affine(0.5, 0, 499985.0, 0, -0.5, 3300024.0)
+    write_tile(tmp_path / "tiles" / "a.tif", values, corner, nodata=float("nan"))
+    path.write_text(path.read_text().replace("starboard", "both"))
+    run(path)
+    assert read(tmp_path / "out", "ripple_quality.tif")[0].tolist() != [[6]]
+
+
+def test_where_inputs_lie_does_not_change_the_products(tmp_path):
+    (tmp_path / "a").mkdir()
+    path = small_survey(tmp_path / "a")
+    run(path)
+    before = products(tmp_path / "a" / "out")
+    path.write_text(
+        path.read_text().replace("tiles/*.tif", str(tmp_path / "a" / "tiles" / "a.tif"))
+    )
+    assert run(path).kept == 6
+    assert products(tmp_path / "a" / "out") == before
+
+
+def test_a_shifted_track_is_not_mistaken_for_the_old_one(tmp_path):
+    path = small_survey(tmp_path)
+    run(path)
+    shifted = "+proj=tmerc +lon_0=-81 +k=0.9996 +x_0=499998 +datum=WGS84"
+    text = path.read_text().replace(
+        "side: starboard", f"side: starboard\n  navigation_crs: {shifted}"
+    )
+    path.write_text(text)
+    assert run(path).computed == 6
+
+
+def test_products_of_an_earlier_run_are_named(tmp_path, caplog):
+    path = small_survey(tmp_path)
+    run(path)
+    path.write_text(path.read_text().replace("ripples: {}", "sediments: {}"))
+    run(path)
+    assert "ripple_height.tif" in caplog.text

@@ -1,7 +1,7 @@
 import pytest
 
 from sasmap.errors import InputError
-from sasmap.yamlfile import load_yaml
+from sasmap.yamlfile import dump_yaml, load_yaml
 
 
 def load(tmp_path, text):
@@ -65,3 +65,19 @@ def test_binary_and_deep_and_missing_files(tmp_path):
         load_yaml(tmp_path / "none.yaml")
     with pytest.raises(InputError):
         load(tmp_path, "a: " + "[" * 5000)
+
+
+@pytest.mark.parametrize("text", ["!!int abc", "!!float x", "!!bool foo", "!!timestamp x"])
+def test_a_tag_that_does_not_fit_is_one_line(tmp_path, text):
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, f"seed: {text}\n")
+    assert len(caught.value.faults) == 1
+
+
+@pytest.mark.parametrize(
+    "value", ["1e3", "no", "12:30", "007", ".inf", "null", 1e-3, True, [0.05, 5]]
+)
+def test_what_is_dumped_is_read_back(tmp_path, value):
+    path = tmp_path / "a.yaml"
+    path.write_text(dump_yaml({"key": value}))
+    assert load_yaml(path) == {"key": value}

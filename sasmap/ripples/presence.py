@@ -175,7 +175,7 @@ def too_long(found: Spectrum, bounds: tuple[float, float]) -> bool:
     -------
     bool
         True where a peak between 1.5 and MIN_WAVES wavelengths a clip, within the bounds, has a
-        contrast of at least 0.3 and strips that agree beyond chance.
+        contrast of at least 0.3, strips that agree beyond chance and shows in both halves.
     """
     length = found.u[-1] - found.u[0]
     f, power = found.frequency, found.power
@@ -183,7 +183,8 @@ def too_long(found: Spectrum, bounds: tuple[float, float]) -> bool:
     agree = _chance(found.agreement, len(found.profiles)) < FALSE_ALARM
     top = np.zeros(f.size, bool)
     top[1:-1] = (power[1:-1] > power[:-2]) & (power[1:-1] > power[2:])
-    return bool((low & agree & top & (2 * np.sqrt(power) > 0.3)).any())
+    strong = np.flatnonzero(low & agree & top & (2 * np.sqrt(power) > 0.3))
+    return any(_in_both_halves(found, i) for i in strong.tolist())
 
 
 def _in_both_halves(found: Spectrum, index: int) -> bool:

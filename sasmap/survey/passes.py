@@ -139,12 +139,17 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
     faults, tiles = [], []
     paths: list[Path] = []
     for pattern in settings.tiles:
-        found = find_tiles(survey.path.parent, pattern)
+        literal = survey.path.parent / pattern
+        found = [
+            path
+            for path in find_tiles(survey.path.parent, pattern)
+            if path == literal or not _is_product(survey, path)
+        ]
         if not found:
             faults.append(
                 f"{survey.path}: passes.{settings.name}.tiles: no file matches {pattern!r}"
             )
-        paths.extend(p for p in found if not _is_product(survey, p))
+        paths.extend(found)
     for path in dict.fromkeys(paths):
         try:
             tiles.append(inspect_tile(path))

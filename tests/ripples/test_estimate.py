@@ -153,3 +153,8 @@ def test_ripples_survive_holes():
     posterior = estimate(Clip(**{**vars(clip), "amplitude": amplitude}), CREST, rng=1)
     assert abs(float(posterior.mean.frequency) - 0.6) < 2e-3
     assert abs(float(posterior.mean.height) - 0.07) < 2e-3
+
+
+def test_a_wave_too_long_for_the_clip_is_not_identifiable():
+    clip = zare_cobb_clip(24.4, 28.4, 0.6, 0.07)  # 2.4 wavelengths
+    assert estimate(clip, CREST, rng=1).quality is Quality.NOT_IDENTIFIABLE

@@ -226,3 +226,34 @@ def test_scene_faults_name_file_and_key(tmp_path, text, says):
     with pytest.raises(InputError) as caught:
         load_scene(path)
     assert any(says in fault and str(path) in fault for fault in caught.value.faults)
+
+
+def test_a_smaller_scene_leaves_no_tiles_of_the_larger_one(tmp_path):
+    simulate(scene_of(passes=one_pass(tile=64)), tmp_path)
+    (tmp_path / ".sasmap-simulate").mkdir()
+    (tmp_path / ".sasmap-simulate" / "x.part").touch()  # of a run that was killed
+    simulate(scene_of(passes=one_pass(tile=2000)), tmp_path)
+    assert [p.name for p in (tmp_path / "one").iterdir()] == ["one_r0_c0.tif"]
+
+
+def test_a_pass_that_sees_nothing_is_refused(tmp_path):
+    scene = scene_of(passes=one_pass(area=[[50, 50], [60, 50], [60, 60]]))
+    with pytest.raises(InputError, match="sees nothing"):
+        simulate(scene, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a[1]", "out", "truth", "a/b", ".x"])
+def test_names_that_could_not_be_run_are_refused(name):
+    with pytest.raises(ValueError, match="passes"):
+        scene_of(passes=one_pass(name=name))
+
+
+def test_slant_range_is_as_good_as_ground_range(tmp_path):
+    for kind in ("ground", "slant"):
+        scene = scene_of(ripples=[RIPPLES], size=(10.0, 8.0), passes=one_pass(range=kind))
+        simulate(scene, tmp_path / kind)
+        survey = sasmap.load_survey(tmp_path / kind / "survey.yaml")
+        posterior = sasmap.ripples.estimate(sasmap.open_pass(survey, "one"), rng=1)
+        for name, truth in (("frequency", 0.8), ("height", 0.06)):
+            away = float(posterior.mean[name]) - truth
+            assert abs(away) < 4 * float(posterior.sd[name])

@@ -52,3 +52,21 @@ def test_crs_whose_numbers_are_not_metres_on_the_ground(crs, x, y, says):
 
 def test_utm_is_accepted():
     check_grid_crs(pyproj.CRS.from_user_input(UTM), "survey.yaml: crs", 500000.0, 3300000.0)
+
+
+def test_tiles_meet_the_cells_they_overlap(tmp_path):
+    tile = inspect_tile(write_tile(tmp_path / "b.tif", RAMP, NORTH_UP))
+    grid = CellGrid(tile.lattice.crs, 499997.0, 3300003.0, 5.0, 4, 6)
+    # the tile is 10 m x 6 m from (500000, 3300000) down
+    assert {tuple(c) for c in grid.met_by(tile, 0.0)} == {(r, c) for r in (0, 1) for c in (0, 1, 2)}
+    assert len(set(grid.met_by(tile, 2.5))) > 6
+
+
+def test_a_grid_too_large_to_hold_is_refused(tmp_path):
+    far = NORTH_UP @ shift(80_000_000, 80_000_000)
+    tiles = [
+        inspect_tile(write_tile(tmp_path / f"{k}.tif", RAMP, t))
+        for k, t in enumerate((NORTH_UP, far))
+    ]
+    with pytest.raises(InputError, match="choose a larger window"):
+        lay_grid(tiles, tiles[0].lattice.crs, 4)

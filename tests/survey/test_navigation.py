@@ -136,3 +136,30 @@ def test_missing_or_binary_file(tmp_path):
     (tmp_path / "b.csv").write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match="CSV"):
         read_navigation(tmp_path / "b.csv", WKT, WKT, None)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.3])
+def test_jitter_does_not_turn_port_into_starboard(noise):
+    rng = np.random.default_rng(1)
+    n = 600  # a ping every 0.1 m
+    y = 0.1 * np.arange(n)
+    track = Track(rng.normal(0, noise, n), y + rng.normal(0, noise, n), np.full(n, 5.0))
+    px, py = rng.uniform(5, 30, 2000), rng.uniform(5, 55, 2000)
+    assert track.locate(px, py).starboard.all()
+    assert not track.locate(-px, py).starboard.any()
+
+
+def test_semicolons_and_tabs_separate_as_well(tmp_path):
+    for mark in ";\t":
+        (tmp_path / "n.csv").write_text("x,y,altitude\n1,2,3\n4,5,6\n".replace(",", mark))
+        np.testing.assert_array_equal(read_navigation(tmp_path / "n.csv", WKT, WKT, None).y, [2, 5])
+
+
+def test_navigation_crs_chooses_between_columns(tmp_path):
+    path = tmp_path / "n.csv"
+    path.write_text("longitude,latitude,x,y,altitude\n-81,29,1,2,3\n-81,29.1,4,5,6\n")
+    np.testing.assert_array_equal(read_navigation(path, WKT, WKT, UTM).y, [2, 5])
+    assert read_navigation(path, WKT, WKT, None).y[0] > 3e6
+    path.write_text("longitude,latitude,altitude\n-81,29,3\n-81,29.1,6\n")
+    with pytest.raises(InputError, match="needs columns x, y"):
+        read_navigation(path, WKT, WKT, UTM)

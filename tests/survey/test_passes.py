@@ -208,3 +208,32 @@ def test_faults_of_all_tiles_come_together(tmp_path):
     (tmp_path / "tiles" / "b.tif").write_text("x")
     (tmp_path / "tiles" / "c.tif").write_text("x")
     assert len(faults(path)) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "corner"),
+    [
+        ({"range": "slant"}, 500001.0),  # nearer than the altitude: water column only
+        ({"side": "starboard"}, 499990.5),  # pixels to starboard are nodata, those to port are not
+    ],
+)
+def test_a_pass_that_shows_no_floor_is_refused(tmp_path, changes, corner):
+    path = small_survey(tmp_path, **with_pass(**changes))
+    values = np.ones((20, 8 if "range" in changes else 40), "float32")
+    if "range" not in changes:
+        values[:, 15:] = np.nan
+    transform = Affine(0.5, 0, corner, 0, -0.5, 3300020.0)
+    write_tile(tmp_path / "tiles" / "a.tif", values, transform, nodata=float("nan"))
+    (fault,) = faults(path)
+    assert "has no valid pixel" in fault
+
+
+def test_products_are_no_tiles_and_replace_no_input(tmp_path):
+    path = small_survey(tmp_path, output="tiles")
+    (tmp_path / "tiles" / "ripple_height.tif").write_text("of an earlier run")
+    assert len(opened(path).passes[0].tiles) == 1
+    path = small_survey(tmp_path, **with_pass(tiles=["tiles/ripple_height.tif"]), output="tiles")
+    tile = tmp_path / "tiles" / "ripple_height.tif"
+    tile.write_bytes((tmp_path / "tiles" / "a.tif").read_bytes())
+    (fault,) = faults(path)
+    assert "would replace this input" in fault

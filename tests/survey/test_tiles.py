@@ -141,3 +141,52 @@ def test_globs_start_from_the_folder_even_with_odd_names(tmp_path):
     assert find_tiles(folder / "x", "../x/a*") == [folder / "x" / ".." / "x" / "a.tif"]
     assert find_tiles(folder, "none.tif") == [folder / "none.tif"]
     assert find_tiles(folder, "none*.tif") == []
+
+
+def test_a_file_whose_writer_was_killed_is_refused(tmp_path):
+    path = tmp_path / "s.tif"
+    profile = {"driver": "GTiff", "count": 1, "height": 64, "width": 64, "dtype": "uint8"}
+    with rasterio.open(
+        path, "w", crs="EPSG:32617", transform=NORTH_UP, SPARSE_OK=True, tiled=True,
+        blockxsize=32, blockysize=32, **profile,
+    ):  # fmt: skip
+        pass
+    assert "no block of it was ever written" in faulty(path)
+
+
+def with_mask(path, nodata=None):
+    noise = np.random.default_rng(1).integers(1, 255, (128, 128), dtype="uint8")
+    profile = {"driver": "GTiff", "count": 1, "height": 128, "width": 128, "dtype": "uint8"}
+    mask = np.full((128, 128), 255, "uint8")
+    mask[:20] = 0
+    noise[30] = 7
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+        rasterio.open(
+            path, "w", crs="EPSG:32617", transform=NORTH_UP, nodata=nodata, **profile
+        ) as t,
+    ):
+        t.write(noise, 1)
+        t.write_mask(mask)
+    return path
+
+
+def test_masks_and_nodata_both_hide(tmp_path):
+    tile = inspect_tile(with_mask(tmp_path / "m.tif", nodata=7))
+    missing = np.isnan(read_tile(tile, tile.window))
+    assert missing[:20].all()
+    assert missing[30].all()
+    assert not missing[21:30].all()
+
+
+@pytest.mark.parametrize("cut", [1, 60, 150, 220, 300, 400])
+def test_a_truncated_mask_is_refused(tmp_path, cut):
+    path = with_mask(tmp_path / "m.tif")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-cut])
+    assert "truncated" in faulty(path)
+
+
+def test_a_name_with_wildcards_that_exists_is_itself(tmp_path):
+    (tmp_path / "a[1].tif").touch()
+    assert find_tiles(tmp_path, "a[1].tif") == [tmp_path / "a[1].tif"]
