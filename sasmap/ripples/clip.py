@@ -128,8 +128,6 @@ class BinnedClip:
         where they fill it.
     azimuth : float
         Direction of u, the mean look, degrees clockwise from grid north.
-    mean_power : float
-        The clip's mean intensity over the square of its largest amplitude.
     """
 
     pixels: FloatArray
@@ -143,7 +141,6 @@ class BinnedClip:
     shift: FloatArray
     spread: float
     azimuth: float
-    mean_power: float
 
     @property
     def centres(self) -> FloatArray:
@@ -234,7 +231,7 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
         flat = np.bincount(index, weights, STRIPS * bins)
         return flat.reshape(STRIPS, bins).astype(float)
 
-    power, mean_power = _normalised(clip, valid) if values is None else (values[valid], 1.0)
+    power = _normalised(clip, valid) if values is None else values[valid]
     floor = DYNAMIC_RANGE if values is None else 0.0
     count = summed()
     total = summed(power) + floor * count
@@ -260,7 +257,6 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
         shift,
         min(around * np.sqrt(12.0), 1.0),
         azimuth,
-        mean_power,
     )
 
 
@@ -273,14 +269,14 @@ def _along_and_across(
     return x * sine + y * cosine, x * cosine - y * sine
 
 
-def _normalised(clip: Clip, valid: NDArray[np.bool_]) -> tuple[FloatArray, float]:
+def _normalised(clip: Clip, valid: NDArray[np.bool_]) -> FloatArray:
+    """Intensity over its mean; by way of the largest amplitude, whose square may not exist."""
     amplitude = clip.amplitude[valid]
     largest = amplitude.max()
     if largest == 0:
-        return np.zeros_like(amplitude), 0.0
+        return np.zeros_like(amplitude)
     power = (amplitude / largest) ** 2
-    mean = float(power.mean())
-    return power / mean, mean
+    return np.asarray(power / power.mean())
 
 
 def _linear(
