@@ -95,7 +95,7 @@ class Plan:
 
     def _inputs(self) -> list[list[str]]:
         return [
-            [look.label, *(self.hashes[f] for f in _files(look.sonar_pass))] for look in self.looks
+            [look.label, *(self.hashes[f] for f in look.sonar_pass.files)] for look in self.looks
         ]
 
 
@@ -151,7 +151,7 @@ def make_plan(survey: Survey) -> Plan:
         cell: tuple(k for k, look in enumerate(looks) if cell in tiles[look.sonar_pass.name])
         for cell in sorted({cell for met in tiles.values() for cell in met})
     }
-    files = {f for p in opened.passes for f in _files(p)}
+    files = {f for p in opened.passes for f in p.files}
     left_out = [] if survey.ripples else ["ripples: the survey file has no ripples block"]
     if survey.sediments is None:
         left_out.append("sediments: the survey file has no sediments block")
@@ -159,10 +159,6 @@ def make_plan(survey: Survey) -> Plan:
         left_out.append(SEDIMENTS_NOTE)
     hashes = {f: hash_file(f) for f in sorted(files)}
     return Plan(opened, looks, cells, tiles, hashes, tuple(left_out))
-
-
-def _files(sonar_pass: SonarPass) -> list[Path]:
-    return [*(tile.path for tile in sonar_pass.tiles), sonar_pass.navigation]
 
 
 def run_survey(

@@ -87,8 +87,8 @@ def _default(
     data = speckle_data(pooled, shadow, binned.altitude_variation)
     compiled = prior.compiled()
     population = cooled_population(found, peaks, data, prior, rng)
-    proposal = learn_proposal(population.particles)
-    states = population.particles[rng.permutation(len(population.particles))[: settings.chains]]
+    proposal = learn_proposal(population)
+    states = population[rng.permutation(len(population))[: settings.chains]]
     rounds: list[np.ndarray] = []
     accepted, kept, done = 0, 0, False
     while kept < settings.draws and not done:

@@ -42,11 +42,27 @@ def learn_proposal(particles: FloatArray) -> Proposal:
     -------
     Proposal
     """
+    return Proposal(particles.copy(), particles.mean(axis=0), covariance_factor(particles, 1e-4))
+
+
+def covariance_factor(particles: FloatArray, ridge: float) -> FloatArray:
+    """Factor the covariance of particles, kept away from degeneracy.
+
+    Parameters
+    ----------
+    particles : ndarray (n, 4)
+    ridge : float
+        Added to the diagonal of their correlation matrix.
+
+    Returns
+    -------
+    ndarray (4, 4)
+        Lower Cholesky factor.
+    """
     sd = np.maximum(particles.std(axis=0), 1e-12 * np.maximum(np.abs(particles).max(axis=0), 1e-6))
-    centre = particles.mean(axis=0)
-    scaled = (particles - centre) / sd
-    correlation = scaled.T @ scaled / len(particles) + 1e-4 * np.eye(centre.size)
-    return Proposal(particles.copy(), centre, sd[:, None] * np.linalg.cholesky(correlation))
+    scaled = (particles - particles.mean(axis=0)) / sd
+    correlation = scaled.T @ scaled / len(particles) + ridge * np.eye(particles.shape[1])
+    return np.asarray(sd[:, None] * np.linalg.cholesky(correlation))
 
 
 def metropolis(

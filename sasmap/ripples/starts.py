@@ -8,8 +8,6 @@ as burn-in: what is kept comes from the chains of :mod:`sasmap.ripples.sampler`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +21,7 @@ from sasmap.ripples.kernel import (
 )
 from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.presence import MIN_WAVES, Spectrum
+from sasmap.ripples.sampler import covariance_factor
 
 FloatArray = NDArray[np.float64]
 
@@ -37,20 +36,13 @@ FIRST_SHARE = 0.3
 MAX_STAGES = 200
 
 
-class Population(NamedTuple):
-    """Weighted equally: particles (n, 4) and their log likelihood (n,)."""
-
-    particles: FloatArray
-    level: FloatArray
-
-
 def cooled_population(
     found: Spectrum,
     peaks: NDArray[np.int64],
     data: SpeckleData,
     prior: Prior,
     rng: np.random.Generator,
-) -> Population:
+) -> FloatArray:
     """Draw an approximate sample of the posterior to start and tune chains from.
 
     Parameters
@@ -65,7 +57,8 @@ def cooled_population(
 
     Returns
     -------
-    Population
+    ndarray (n, 4)
+        Particles of equal weight.
     """
     compiled = prior.compiled()
     frequencies, half_step = _frequencies(found, peaks, prior)
@@ -79,20 +72,21 @@ def cooled_population(
     chosen = _resample(weight, PARTICLES, rng)
     particles = _jittered(table[chosen, :4], half_step, heights, compiled, rng)
     level = np.array([log_likelihood(p, data) for p in particles])
-    return _cool(Population(particles, level), cold, data, compiled, rng)
+    return _cool(particles, level, cold, data, compiled, rng)
 
 
 def _cool(
-    population: Population,
+    particles: FloatArray,
+    level: FloatArray,
     power: float,
     data: SpeckleData,
     prior: PriorData,
     rng: np.random.Generator,
-) -> Population:
-    particles, level = population
+) -> FloatArray:
+    """Bring particles from a power of the likelihood to its full height; `level` is its log."""
     scale = 1.0
     for _ in range(MAX_STAGES):
-        factor = _spread(particles)
+        factor = covariance_factor(particles, 1e-6)
         accepted = move_population(particles, level, power, scale * factor, MOVES, data, prior, rng)
         scale = float(np.clip(scale * np.exp(2 * (accepted - 0.3)), 1e-3, 2.0))
         if power >= 1.0:
@@ -101,7 +95,7 @@ def _cool(
         weight = np.exp((step - power) * (level - level.max()))
         chosen = _resample(weight, len(particles), rng)
         particles, level, power = particles[chosen], level[chosen], step
-    return Population(particles, level)
+    return particles
 
 
 def _frequencies(
@@ -180,11 +174,3 @@ def _resample(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[n
     edges = np.cumsum(weight) / weight.sum()
     edges[-1] = 1.0
     return np.searchsorted(edges, (np.arange(n) + rng.random()) / n)
-
-
-def _spread(particles: FloatArray) -> FloatArray:
-    """Cholesky factor of the particles' covariance, kept away from degeneracy."""
-    sd = np.maximum(particles.std(axis=0), 1e-12 * np.maximum(np.abs(particles).max(axis=0), 1e-6))
-    scaled = (particles - particles.mean(axis=0)) / sd
-    correlation = scaled.T @ scaled / len(particles) + 1e-6 * np.eye(particles.shape[1])
-    return np.asarray(sd[:, None] * np.linalg.cholesky(correlation))

@@ -70,6 +70,11 @@ class SonarPass:
     navigation: Path
 
     @property
+    def files(self) -> list[Path]:
+        """Every file the pass is read from."""
+        return [*(tile.path for tile in self.tiles), self.navigation]
+
+    @property
     def reach(self) -> float:
         """How far a tile pixel can lie from the sea floor it shows, m."""
         return float(self.track.altitude.max()) if self.slant else 0.0
@@ -161,17 +166,16 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
 
 
 def _is_product(survey: Survey, path: Path) -> bool:
-    """Whether a path that a glob found is what an earlier run wrote."""
+    """Whether a path is where a run writes a product."""
     inside = path.resolve().parent == survey.output_folder.resolve()
     return inside and path.name in PRODUCTS
 
 
 def _check_output(survey: Survey, passes: list[SonarPass]) -> None:
     """Refuse an output folder in which a product would replace an input."""
-    folder = survey.output_folder.resolve()
-    inputs = {f for p in passes for f in (*(t.path for t in p.tiles), p.navigation)}
+    inputs = {f for p in passes for f in p.files}
     for path in sorted(inputs | {survey.path}):
-        if path.resolve().parent == folder and path.name in PRODUCTS:
+        if _is_product(survey, path):
             raise InputError(f"{path}: a product of that name would replace this input; move one")
 
 
