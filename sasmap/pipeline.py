@@ -24,6 +24,7 @@ from sasmap.config import Survey
 from sasmap.errors import InputError
 from sasmap.productnames import MANIFEST, RIPPLE_PRODUCTS
 from sasmap.products.files import write_text
+from sasmap.products.model import on_cell, write_mosaic
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimate import estimate
@@ -105,6 +106,7 @@ class LookResult(NamedTuple):
     summary: Summary | None
     fault: str | None
     computed: bool
+    model: str | None = None  # key of the modelled amplitude in the store
 
 
 @dataclass
@@ -113,6 +115,7 @@ class Outcome:
 
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
+    models: dict[tuple[int, int], str] = field(default_factory=dict)
     failures: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     computed: int = 0
@@ -273,6 +276,8 @@ def _estimate_cells(
         for k in looks:
             result = done[cell, k]
             summaries[k] = result.summary
+            if result.model is not None:  # the last pass's stays
+                outcome.models[cell.row, cell.column] = result.model
             outcome.computed += result.computed
             outcome.kept += not result.computed
             if result.fault is not None:
@@ -338,10 +343,10 @@ def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> Look
     settings = plan.settings.ripples
     assert settings is not None
     prior = next_prior(earlier, settings)
-    key = _key(plan, cell, look, [prior.mean, prior.sd, prior.correlation])
+    key = _key(plan, cell, look, [prior.mean, prior.sd, prior.correlation, prior.azimuth])
     kept = store.load(key)
     if kept is not None:
-        return LookResult(kept, None, False)
+        return LookResult(kept, None, False, _model_key(store, key))
     clip = _clip(plan, cell, look, look.side)
     if clip is None:
         summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
@@ -349,9 +354,18 @@ def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> Look
         summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
     else:
         rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
-        summary = summarise(estimate(Clip.from_array(clip), settings, rng=rng, prior=prior))
+        pixels = Clip.from_array(clip)
+        posterior = estimate(pixels, settings, rng=rng, prior=prior)
+        summary = summarise(posterior)
+        if posterior.model is not None:
+            grid, window = plan.opened.grid, plan.settings.window
+            store.save_model(key, on_cell(pixels, posterior.model, grid, cell, window))
     store.save(key, summary)
-    return LookResult(summary, None, True)
+    return LookResult(summary, None, True, _model_key(store, key))
+
+
+def _model_key(store: Store, key: str) -> str | None:
+    return key if store.model_path(key).exists() else None
 
 
 def _clip(plan: Plan, cell: Cell, look: Look, side: Side) -> xr.DataArray | None:
@@ -437,6 +451,13 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
         path, outcome.cells, labels, shape, grid.transform, grid.crs, tags, store.scratch
     )
     outcome.written.append(path)
+    if settings.keep_model:
+        path = store.output / "modelled_amplitude.tif"
+        window = plan.settings.window
+        write_mosaic(
+            path, outcome.models, store.load_model, shape, window, grid, tags, store.scratch
+        )
+        outcome.written.append(path)
 
 
 def _write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:

@@ -3,10 +3,13 @@
 RIPPLE_PRODUCTS = (
     "ripple_frequency.tif",
     "ripple_height.tif",
+    "ripple_azimuth.tif",
+    "ripple_probability.tif",
     "ripple_quality.tif",
     "ripple_quality.tif.aux.xml",
     "ripple_passes.tif",
     "ripples.nc",
+    "modelled_amplitude.tif",
 )
 MANIFEST = "run.json"
 PRODUCTS = frozenset({*RIPPLE_PRODUCTS, MANIFEST})

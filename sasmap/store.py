@@ -9,7 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sasmap.products.files import write_text
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.products.files import write_text, written_whole
 from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.version import VERSION
@@ -50,9 +53,22 @@ class Store:
         """Keep a finished result."""
         write_text(self.path(key), json.dumps(asdict(summary)), self.scratch)
 
+    def model_path(self, key: str) -> Path:
+        """Where the modelled amplitude of a cell is kept."""
+        return self.path(key).with_suffix(".npy")
+
+    def save_model(self, key: str, model: NDArray[np.float32]) -> None:
+        """Keep a cell's modelled amplitude (before the result itself, which completes it)."""
+        with written_whole(self.model_path(key), self.scratch) as part, part.open("wb") as file:
+            np.save(file, model)
+
+    def load_model(self, key: str) -> NDArray[np.float32]:
+        """Return a cell's modelled amplitude."""
+        return np.asarray(np.load(self.model_path(key)), np.float32)
+
     def clear(self) -> None:
         """Forget all finished work."""
-        for path in (self.output / FOLDER / "cells").glob("*/*.json"):
+        for path in (self.output / FOLDER / "cells").glob("*/*.*"):
             path.unlink(missing_ok=True)
 
     def remove_leftovers(self) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sasmap.products.files import written_whole
 from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
 from sasmap.ripples.passes import Summary, cell_quality, used
-from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
 from sasmap.ripples.settings import RippleSettings
 
 # Colours after Okabe and Ito, told apart by colour-blind readers.
@@ -37,10 +37,18 @@ SUMMARY_UNITS = {
     "q95": ("cycles/m", "m"),
     "prior_mean": ("cycles/m", "m"),
     "prior_sd": ("cycles/m", "m"),
-    "rhat": ("1", "1"),
-    "ess_bulk": ("1", "1"),
-    "ess_tail": ("1", "1"),
 }
+# Of f, A_H and the azimuth.
+CONVERGENCE = ("rhat", "ess_bulk", "ess_tail")
+SINGLE_UNITS = {
+    "correlation": "1",
+    "acceptance": "1",
+    "probability": "1",
+    "coherence_length": "m",
+    "rippled_fraction": "1",
+    "noise_factor": "1",
+}
+PROFILES = ("", "sine", "stokes", "peaked")
 
 Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
 
@@ -56,7 +64,7 @@ def write_ripple_rasters(
     tags: Mapping[str, str],
     scratch: Path,
 ) -> list[Path]:
-    """Write frequency, height, quality and number of passes, a pixel a cell.
+    """Write frequency, height, azimuth, probability, quality and passes, a pixel a cell.
 
     Parameters
     ----------
@@ -79,18 +87,22 @@ def write_ripple_rasters(
     list of Path
     """
     values = np.full((2, len(STATISTICS), *shape), np.nan)
+    azimuth = np.full((2, *shape), np.nan)
+    probability = np.full(shape, np.nan)
     quality = np.zeros(shape, np.uint8)
     passes = np.zeros(shape, np.uint8)
     for cell, summaries in cells.items():
         present = [(k, s) for k, s in enumerate(summaries) if s is not None]
         quality[cell] = cell_quality([s.quality for _, s in present])
         chosen = chosen_look(summaries, settings)
+        probability[cell] = cell_probability(summaries, chosen)
         if chosen is None:
             continue
         summary = summaries[chosen]
         assert summary is not None
         for i, name in enumerate(STATISTICS):
             values[:, i, *cell] = getattr(summary, name)
+        azimuth[:, *cell] = summary.azimuth
         passes[cell] = len({looks[k] for k, s in present if s.quality is summary.quality})
     spots = (("frequency", "cycles/m"), ("height", "m"))
     written = []
@@ -99,6 +111,12 @@ def write_ripple_rasters(
         layer = float_layer(bands, [unit] * len(bands), tags)
         written.append(folder / f"ripple_{name}.tif")
         write_cog(written[-1], values[k], layer, transform, crs, scratch)
+    layer = float_layer(["azimuth axial mean", "azimuth sd"], ["degrees"] * 2, tags)
+    written.append(folder / "ripple_azimuth.tif")
+    write_cog(written[-1], azimuth, layer, transform, crs, scratch)
+    layer = float_layer(["probability of ripples"], ["1"], tags)
+    written.append(folder / "ripple_probability.tif")
+    write_cog(written[-1], as_bands(probability), layer, transform, crs, scratch)
     categories = {int(q): Category(q.label, QUALITY_COLOURS[q]) for q in Quality}
     layer = Layer(["quality"], [""], 0, "uint8", categories, tags)
     written.append(folder / "ripple_quality.tif")
@@ -107,6 +125,15 @@ def write_ripple_rasters(
     written.append(folder / "ripple_passes.tif")
     write_cog(written[-1], as_bands(passes), layer, transform, crs, scratch)
     return written
+
+
+def cell_probability(summaries: Sequence[Summary | None], chosen: int | None) -> float:
+    """Probability that a cell is rippled: of the look that stands for it, else the largest."""
+    picked = summaries[chosen] if chosen is not None else None
+    if picked is not None and np.isfinite(picked.probability):
+        return picked.probability
+    known = [s.probability for s in summaries if s is not None and np.isfinite(s.probability)]
+    return max(known, default=float("nan"))
 
 
 def chosen_look(summaries: Sequence[Summary | None], settings: RippleSettings) -> int | None:
@@ -155,9 +182,19 @@ def write_ripples_netcdf(
         for k, parameter in enumerate(("frequency", "height")):
             field = _field(cells, full, lambda s, n=name, i=k: getattr(s, n)[i])
             variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": units[k]})
-    for name, unit in (("correlation", "1"), ("acceptance", "1"), ("azimuth", "degrees")):
+    for name in CONVERGENCE:
+        for k, parameter in enumerate(JUDGED):
+            field = _field(cells, full, lambda s, n=name, i=k: getattr(s, n)[i])
+            variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": "1"})
+    for k, statistic in enumerate(("mean", "sd")):
+        for source, target in (("azimuth", statistic), ("prior_azimuth", f"prior_{statistic}")):
+            field = _field(cells, full, lambda s, n=source, i=k: getattr(s, n)[i])
+            variables[f"azimuth_{target}"] = (_DIMS, field, {"units": "degrees"})
+    for name, unit in SINGLE_UNITS.items():
         field = _field(cells, full, lambda s, n=name: getattr(s, n))
         variables[name] = (_DIMS, field, {"units": unit})
+    profile = _field(cells, full, lambda s: float(PROFILES.index(s.profile)))
+    variables["profile"] = (_DIMS, np.nan_to_num(profile).astype(np.int8), _profiles())
     quality = _field(cells, full, lambda s: float(s.quality))
     left_out = _field(cells, full, lambda s: float(s.left_out))
     variables["quality"] = (_DIMS, np.nan_to_num(quality).astype(np.int8), _flags())
@@ -204,6 +241,13 @@ def _flags() -> dict[str, Any]:
     return {
         "flag_values": np.array([int(q) for q in Quality], np.int8),
         "flag_meanings": " ".join(q.label.replace(" ", "_") for q in Quality),
+    }
+
+
+def _profiles() -> dict[str, Any]:
+    return {
+        "flag_values": np.arange(len(PROFILES), dtype=np.int8),
+        "flag_meanings": " ".join(name or "none" for name in PROFILES),
     }
 
 

@@ -15,7 +15,7 @@ STRIPS = 16
 # Intensity added to every pixel, over the clip's mean: no sonar's image spans more than 30 dB below
 # its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as proof of
 # a noise floor of nothing.
-DYNAMIC_RANGE = 1e-3
+DYNAMIC_RANGE = 3e-3
 # Bins that altitude may move a shadow's edge by within a strip.
 EDGE_SHIFT = 0.5
 # Bins by which range at the same u may vary within a strip.
@@ -231,7 +231,7 @@ def bin_clip(clip: Clip, values: FloatArray | None = None) -> BinnedClip:
         flat = np.bincount(index, weights, STRIPS * bins)
         return flat.reshape(STRIPS, bins).astype(float)
 
-    power = _normalised(clip, valid) if values is None else values[valid]
+    power = normalised(clip, valid)[0] if values is None else values[valid]
     floor = DYNAMIC_RANGE if values is None else 0.0
     count = summed()
     total = summed(power) + floor * count
@@ -269,14 +269,18 @@ def _along_and_across(
     return x * sine + y * cosine, x * cosine - y * sine
 
 
-def _normalised(clip: Clip, valid: NDArray[np.bool_]) -> FloatArray:
-    """Intensity over its mean; by way of the largest amplitude, whose square may not exist."""
+def normalised(clip: Clip, valid: NDArray[np.bool_]) -> tuple[FloatArray, float]:
+    """Intensity of the valid pixels over its mean, and the root of that mean.
+
+    By way of the largest amplitude, whose square may not exist.
+    """
     amplitude = clip.amplitude[valid]
-    largest = amplitude.max()
+    largest = float(amplitude.max())
     if largest == 0:
-        return np.zeros_like(amplitude)
+        return np.zeros_like(amplitude), 0.0
     power = (amplitude / largest) ** 2
-    return np.asarray(power / power.mean())
+    mean = float(power.mean())
+    return np.asarray(power / mean), largest * float(np.sqrt(mean))
 
 
 def _linear(

@@ -5,17 +5,42 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from sasmap.ripples.clip import BinnedClip, Clip, bin_clip, mean_look
-from sasmap.ripples.likelihood import Prior, speckle_data
-from sasmap.ripples.posterior import LeftOut, Posterior, Quality, converged, dataset
-from sasmap.ripples.presence import ripple_peaks, spectrum, too_long
+from sasmap.ripples.clip import Clip
+from sasmap.ripples.fit import Fit, Task, fit_wave
+from sasmap.ripples.image import Image, as_image
+from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.model import modelled_amplitude
+from sasmap.ripples.posterior import (
+    NOTHING,
+    LeftOut,
+    Posterior,
+    Quality,
+    Shape,
+    converged,
+    dataset,
+)
+from sasmap.ripples.presence import Spectrum, Wave, find_waves, spectrum, too_long
 from sasmap.ripples.published import sample_published
 from sasmap.ripples.sampler import learn_proposal, metropolis
 from sasmap.ripples.settings import RippleSettings
-from sasmap.ripples.starts import cooled_population
+from sasmap.ripples.starts import cooled_population, parameters
 
 MIN_PIXELS = 400
 ROUND = 250
+# Pixels to which the image's geometry is good, phase by which a shadow's end moves when its log
+# height does, and share of the local frequency's variation by which a bent clip's A_H is uncertain.
+REGISTRATION, EDGE_TURN, BENT_SHARE = 0.08, 2.0, 0.7
+# Steps of each member of the burn-in population before its density is learned again, and by how
+# much it is widened each time: a population too narrow would not find out.
+WALK, WIDENED = 6, (1.5, 1.25, 1.1)
+# Probability from which a clip counts as rippled.
+PRESENT = 0.5
+# Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
+MIN_ALONG = 0.07
+# Share of the strongest wave's energy from which its half or double is tried as well.
+RIVAL = 0.25
+# Power over the spectrum around it that a wave seen along its crests must have to be remarked.
+STRIKING = 200.0
 
 
 def estimate(
@@ -64,7 +89,7 @@ def estimate(
     if valid.sum() < MIN_PIXELS:
         return Posterior(Quality.TOO_FEW_PIXELS, prior)
     if np.ptp(clip.amplitude[valid]) == 0:
-        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING)
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
     if settings.method == "zare-cobb":
         return _published(clip, prior, rng)
     return _default(clip, settings, prior, rng)
@@ -73,21 +98,90 @@ def estimate(
 def _default(
     clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
 ) -> Posterior:
-    binned = bin_clip(clip)
-    found = spectrum(binned, settings.frequency)
+    image = as_image(clip)
+    found = spectrum(image)
     if found is None:
-        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
-    peaks = ripple_peaks(found)
-    if not peaks.size:
-        unclear = too_long(found, settings.frequency)
-        quality = Quality.NOT_IDENTIFIABLE if unclear else Quality.NO_RIPPLES
-        return Posterior(quality, prior, left_out=LeftOut.SAMPLING)
-    shadow = settings.shadow if _can_cast_shadow(binned, prior) else "none"
-    pooled = binned.pooled(1 / float(found.frequency[peaks[0]]))
-    data = speckle_data(pooled, shadow, binned.altitude_variation)
-    compiled = prior.compiled()
-    population = cooled_population(found, peaks, data, prior, rng)
-    proposal = learn_proposal(population)
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
+    waves = find_waves(image, found, settings.frequency)
+    chosen, probability = _candidates(image, waves, settings)
+    if not chosen:
+        quality = _why_not(image, found, waves, settings)
+        return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
+    shadow = settings.shadow if _can_cast_shadow(image, prior) else None
+    task = Task(image, shadow, settings, prior, prior.compiled(image.azimuth))
+    fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.level)
+    draws, acceptance, done = _sampled(fit, task, rng)
+    return Posterior(
+        _judged(draws, done, image),
+        prior,
+        labelled(vouched(draws, fit, task, rng)),
+        acceptance,
+        _left_out(fit, shadow),
+        probability,
+        Shape(
+            fit.profile,
+            fit.phase.coherence_length,
+            fit.phase.rippled_fraction,
+            fit.phase.stiffness,
+            fit.noise_factor,
+        ),
+        modelled_amplitude(clip, image, fit, draws) if settings.keep_model else None,
+        labelled(draws),
+    )
+
+
+def _candidates(
+    image: Image, waves: list[Wave], settings: RippleSettings
+) -> tuple[list[Wave], float]:
+    """Waves to fit, and the probability that there is a ripple.
+
+    The strongest of those that pass, and those half or twice as long that come near it.
+    """
+    visible = [w for w in waves if _along_look(image, w) > MIN_ALONG]
+    probability = max((w.probability for w in visible), default=0.0)
+    passed = [w for w in visible if w.probability > PRESENT]
+    if settings.presence == "assumed" and not passed:
+        passed = sorted(visible, key=lambda w: -w.power)[:1]
+    if not passed:
+        return [], probability
+    first = max(passed, key=lambda w: w.energy)
+    others = [w for w in passed if w.energy > RIVAL * first.energy and _harmonic(w, first)]
+    return [first, *others[:1]], probability
+
+
+def _along_look(image: Image, wave: Wave) -> float:
+    return float(abs(wave.vector @ image.look) / np.hypot(*wave.vector))
+
+
+def _harmonic(wave: Wave, first: Wave) -> bool:
+    """Whether a wave is nearly half or twice another."""
+    ratio = np.hypot(*wave.vector) / np.hypot(*first.vector)
+    cosine = abs(wave.vector @ first.vector) / (np.hypot(*wave.vector) * np.hypot(*first.vector))
+    return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
+
+
+def _why_not(
+    image: Image, found: Spectrum, waves: list[Wave], settings: RippleSettings
+) -> Quality:
+    """Quality of a clip without a wave that could be estimated."""
+    hidden = [w for w in waves if w.probability > 0.99 and w.power > STRIKING]
+    if not waves or hidden or too_long(image, found, settings.frequency):
+        return Quality.NOT_IDENTIFIABLE
+    return Quality.NO_RIPPLES
+
+
+def _sampled(
+    fit: Fit, task: Task, rng: np.random.Generator
+) -> tuple[np.ndarray, float, bool]:
+    """Draws (chain, draw, parameter), accepted fraction, and whether they converged."""
+    settings, data, compiled = task.settings, fit.data, task.compiled
+    population = cooled_population(fit.table, fit.theta, data, task.prior, compiled, rng)
+    for widen in WIDENED:  # the population is rough: each member walks on, then it is learned again
+        proposal = learn_proposal(population, widen)
+        walks = [metropolis(x, WALK, proposal, data, compiled, rng).draws for x in population]
+        population = np.array([walk[-1] for walk in walks])
+    members = np.concatenate([population, [walk[WALK // 2] for walk in walks]])
+    proposal = learn_proposal(members, WIDENED[-1])
     states = population[rng.permutation(len(population))[: settings.chains]]
     rounds: list[np.ndarray] = []
     accepted, kept, done = 0, 0, False
@@ -99,29 +193,90 @@ def _default(
         kept += steps
         rounds.append(np.stack([chain.draws for chain in chains]))
         draws = np.concatenate(rounds, axis=1)
-        done = converged(draws[..., 0]) and converged(draws[..., 1])
-    draws[..., 2] %= 2 * np.pi
-    draws[..., 3] = np.exp(draws[..., 3])
-    left_out = LeftOut.ORIENTATION | LeftOut.PHASE_FIELD | LeftOut.TREND
-    if shadow == "none":
-        left_out |= LeftOut.SHADOW
-    return Posterior(
-        Quality.GOOD if done else Quality.NOT_CONVERGED,
-        prior,
-        dataset(draws, ("frequency", "height", "phase", "noise")),
-        binned.azimuth % 180.0,
-        accepted / (kept * len(states)),
-        left_out,
+        done = all(converged(parameters(draws)[..., i]) for i in range(3))
+    return parameters(draws), accepted / (kept * len(states)), done
+
+
+def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -> np.ndarray:
+    """Widen draws by what no model of an image can vouch for.
+
+    Where a shadow's edge lies is known to a tenth of a pixel at best: so is how far a wave is from
+    one end of the clip to the other. Where crests bend, A_H is told by a pulse that places of
+    different local frequency share.
+
+    Parameters
+    ----------
+    draws : ndarray (chain, draw, SIZE)
+    fit : Fit
+    task : Task
+    rng : Generator
+
+    Returns
+    -------
+    ndarray (chain, draw, SIZE)
+    """
+    image, prior = task.image, task.prior
+    frequency = float(draws[..., 0].mean())
+    length = max(float(np.ptp(fit.data.along)), 1 / frequency)
+    slip = REGISTRATION * image.pixel_size
+    steepness = 2 * np.pi * frequency * draws[..., 1].mean()
+    shadowed = task.shadow is not None and steepness > 0.5 * np.min(
+        fit.data.altitude / fit.data.reach
     )
+    height = 2 * np.pi * frequency * slip / EDGE_TURN if shadowed else 0.0
+    height = np.hypot(height, BENT_SHARE * fit.phase.variation)
+    turn = slip / length
+    # what a prior holds narrower than that, it holds: a pixel's worth of doubt is the image's
+    spread = [
+        min(frequency * turn, prior.sd[0]),
+        min(float(height), prior.sd[1] / max(float(draws[..., 1].mean()), 1e-12)),
+        min(turn, np.radians(prior.azimuth[1])),
+    ]
+    result = draws.copy()
+    normal = rng.normal(size=(3, *draws.shape[:2]))
+    result[..., 0] += spread[0] * normal[0]
+    result[..., 1] *= np.exp(spread[1] * normal[1])
+    result[..., 2] += spread[2] * normal[2]
+    for i in range(2):
+        result[..., i] = np.clip(result[..., i], *prior.bounds[i])
+    return result
 
 
-def _can_cast_shadow(binned: BinnedClip, prior: Prior) -> bool:
+def _judged(draws: np.ndarray, done: bool, image: Image) -> Quality:
+    """Quality of a sampled clip."""
+    along = np.abs(np.cos(draws[..., 2] - np.radians(image.azimuth)))
+    if np.quantile(along, 0.05) < MIN_ALONG:
+        return Quality.NOT_IDENTIFIABLE
+    return Quality.GOOD if done else Quality.NOT_CONVERGED
+
+
+def labelled(draws: np.ndarray) -> xr.Dataset:
+    """Name draws and give them the units that people read."""
+    draws = draws.copy()
+    draws[..., 2] = np.degrees(draws[..., 2])
+    draws[..., 2] -= 180.0 * np.floor(draws[..., 2].mean() / 180.0)
+    draws[..., 3] %= 2 * np.pi
+    draws[..., 4:] = np.exp(draws[..., 4:])
+    return dataset(draws, ("frequency", "height", "azimuth", "phase", "noise", "blur"))
+
+
+def _left_out(fit: Fit, shadow: str | None) -> LeftOut:
+    left_out = NOTHING
+    if shadow is None:
+        left_out |= LeftOut.SHADOW
+    if fit.phase.rigid:
+        left_out |= LeftOut.PHASE_FIELD
+    if not fit.trended:
+        left_out |= LeftOut.TREND
+    return left_out
+
+
+def _can_cast_shadow(image: Image, prior: Prior) -> bool:
     """Whether a slope within the bounds is steeper than the lowest grazing angle."""
-    ends = np.array([binned.start, -binned.start])
-    ground_range = binned.range0[:, None] + binned.range_slope[:, None] * ends
-    altitude = binned.altitude0[:, None] + binned.altitude_slope[:, None] * ends
-    steepest = 2 * np.pi * prior.bounds[0][1] * prior.bounds[1][1]
-    return bool(steepest >= (altitude / np.maximum(ground_range, 1e-9)).min())
+    valid = image.valid
+    lowest = float((image.altitude[valid] / image.ground_range[valid]).min())
+    # of the three profiles the peaked one is the steepest
+    return bool(1.3 * 2 * np.pi * prior.bounds[0][1] * prior.bounds[1][1] >= lowest)
 
 
 def _published(clip: Clip, prior: Prior, rng: np.random.Generator) -> Posterior:
@@ -130,7 +285,6 @@ def _published(clip: Clip, prior: Prior, rng: np.random.Generator) -> Posterior:
         Quality.NOT_CONVERGED,  # one chain cannot show that it converged
         prior,
         dataset(draws, ("frequency", "height")),
-        mean_look(clip) % 180.0,
         acceptance,
         LeftOut.PRESENCE_TEST | LeftOut.ORIENTATION | LeftOut.PHASE_FIELD | LeftOut.TREND,
     )

@@ -4,18 +4,20 @@ numba keeps compiled code on disk and notices a change only in the file of the f
 compiled; what calls across files could go on using an older version of what it calls.
 
 The intensity of fully developed speckle is exponential about m = G (lit fraction * a*^2 + n0). Its
-likelihood over n pixels of a bin depends on them only through n and their sum; the gain G is
-integrated out exactly under its scale-invariant prior 1/G:
+likelihood over the pixels of a bin depends on them only through their number and sum; the gain G
+of each block of range is integrated out exactly under its scale-invariant prior 1/G:
 
-    log L = - sum n log s - N log(sum total / s) + saturated,      s = m / G,  N = sum n
+    log L = sum over blocks of  - sum n log s - N log(sum total / s),      s = m / G,  N = sum n
 
-less that of a saturated model, so that bins can be given less weight: 500 rows of pixels would
-claim to know where a shadow's edge lies to a thousandth of a pixel, which no sonar's image, no
-navigation and no model of a sea floor can bear. Pixels at an edge therefore count little, which
-leaves the edge known to about a pixel.
+A saturated pixel adds to the sum alone: its intensity is known to be at least that. The likelihood
+is raised to the power of one over the noise factor, by which correlated and textured speckle says
+less than as many independent pixels.
 
-Parameters theta, in this order: f (cycles/m), A_H (m), b (rad, at the clip's centre), log n0 (noise
-floor over the flat sea floor's intensity).
+Parameters theta, in this order: f (cycles/m), A_H (m), azimuth of the crest normal (rad), phase,
+log n0 (noise floor over the flat sea floor's intensity), log of the blur (rad). The phase is the
+ripple's at the clip's centre, relative to that of the fold (rad); with a phase field, whose phase
+is that of the image's fundamental, what is left of it. The blur is by how much crests stray from
+the fold's phase: with a field its error, else what little straight crests stray.
 """
 
 from __future__ import annotations
@@ -30,40 +32,114 @@ from sasmap.ripples.scattering import SIGMA_VARIANCE
 
 FloatArray = NDArray[np.float64]
 
+SIZE = 6
 # Receiver noise: about 20 dB below the sea floor, give or take a factor of e^2.
 NOISE_MEAN, NOISE_SD = float(np.log(0.01)), 2.0
 NOISE_BOUNDS = (float(np.log(1e-6)), float(np.log(10.0)))
-# Weight of pixels in bins at a shadow's edge, and the shortest wavelength, in bins, at which they
-# may weigh less than others.
-EDGE_WEIGHT = 0.02
-EDGE_WAVELENGTH = 32.0
-# Weights of proposals by differences of two members: scaled for the local mode, and in full.
-LOCAL, CROSSING = 0.35, 0.15
-STUDENT = 5.0
+# Blurs, rad: of straight crests at most a thirtieth of a wave; with a field, so that a pulse is one.
+BLUR_BOUNDS = (float(np.log(1e-3)), float(np.log(1.5)))
+STRAIGHT_BLUR = float(np.log(0.2))
+# With a phase field the fundamental's phase is the field's, to this standard deviation, rad.
+PHASE_SD = 0.1
+SINE, STOKES, PEAKED = 0, 1, 2
+# Slope of the ray, over that at which shadow sets in, within which its edges are found bin by bin.
+ONSET = (0.92, 1.06)
+# Pixels that count in a bin all in shadow: its level is not the same everywhere to better than
+# about a fourth.
+SHADOW_PIXELS = 16.0
+# Weight of steps by differences of two members, and of nuisances drawn from near their prior; the
+# others are drawn anew.
+LOCAL, NUISANCE = 0.25, 0.15
+# Degrees of freedom of the kernels: with SIZE 6 their density is an inverse seventh power.
+STUDENT = 8.0
 
 
-class SpeckleData(NamedTuple):
-    """What the compiled likelihood reads; all arrays (strips, bins) or (strips,)."""
+class FoldData(NamedTuple):
+    """What the compiled likelihood reads: arrays (blocks, bins) of phase or (blocks,).
+
+    Attributes
+    ----------
+    pixels, total : ndarray (blocks, bins)
+        Pixels that are not saturated, and sum of intensity over the clip's mean.
+    log_mean : ndarray (blocks, bins)
+        Log of total over pixels: bins that weigh less than others must be compared with a perfect
+        model of themselves.
+    phase, half : ndarray (blocks, bins)
+        Mean phase of a bin's pixels and half the width over which they lie, rad.
+    cosine, sine : ndarray (blocks, bins)
+        Of that phase.
+    ahead : ndarray (blocks, bins)
+        Mean place along the look from the block's, m.
+    farther, steeper, flat : ndarray (blocks, bins)
+        Relative to the block: log of the ray's slope, tilt (below), and flat sea floor's intensity.
+    dither : ndarray (blocks, bins)
+        Weight of a bin that a shadow's edge crosses.
+    guard : float
+        Phase beyond a shadow's edge over which that weight grows to 1, rad.
+    reach, altitude, tilt : ndarray (blocks,)
+        Ground range and altitude, m, and pi/2 less the grazing angle, rad.
+    spread : ndarray (blocks,)
+        Half the width of log slope within a block at one phase.
+    along, across : ndarray (blocks,)
+        Mean place from the clip's centre along and across the look, m.
+    group : ndarray of int (blocks,)
+        Blocks, in order, that share a gain.
+    lagging : ndarray (blocks,)
+        Weights with which a straight line is fitted to a block's values, 1/m.
+    base : ndarray (2,)
+        Wave vector of the fold along and across the look, cycles/m.
+    wave, wave_precision : ndarray (2,)
+        What the phases alone say about that wave vector, and its precision, (m/cycle)^2.
+    look : float
+        Azimuth of the look, rad.
+    table : ndarray
+        Of :func:`sasmap.ripples.shadow.shadow_table`.
+    table_steepness : float
+        Its largest steepness.
+    blur : ndarray (2,)
+        Mean of the log of the blur, and its precision.
+    power : float
+        One over the noise factor.
+    profile, shadow, field : int
+        Which profile; whether shadow falls (2 by the crest rule); whether there is a phase field.
+    """
 
     pixels: FloatArray
     total: FloatArray
-    log_mean: FloatArray  # log of total / pixels, 0 where empty
-    tilt: FloatArray  # grazing angle less pi/2, rad
-    flat: FloatArray  # intensity of flat sea floor, mean 1
-    start: float
-    step: float
-    range0: FloatArray
-    range_slope: FloatArray
-    altitude0: FloatArray
-    altitude_slope: FloatArray
-    shift: FloatArray  # mean place of a bin's pixels, in bins from its centre
-    spread: float
-    smear: float
+    log_mean: FloatArray
+    phase: FloatArray
+    half: FloatArray
+    cosine: FloatArray
+    sine: FloatArray
+    ahead: FloatArray
+    farther: FloatArray
+    steeper: FloatArray
+    flat: FloatArray
+    dither: FloatArray
+    guard: float
+    reach: FloatArray
+    altitude: FloatArray
+    tilt: FloatArray
+    spread: FloatArray
+    along: FloatArray
+    across: FloatArray
+    group: NDArray[np.int64]
+    lagging: FloatArray
+    base: FloatArray
+    wave: FloatArray
+    wave_precision: FloatArray
+    look: float
+    table: FloatArray
+    table_steepness: float
+    blur: FloatArray
+    power: float
+    profile: int
     shadow: int
+    field: int
 
 
 class PriorData(NamedTuple):
-    """Truncated Gaussian of (f, A_H) as the compiled code reads it."""
+    """Truncated Gaussian of (f, A_H, azimuth) as the compiled code reads it."""
 
     mean: FloatArray
     precision: FloatArray
@@ -72,34 +148,48 @@ class PriorData(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """A frozen mixture proposal.
+    """A frozen proposal: the density of a burn-in population, and steps between its members.
 
     Attributes
     ----------
-    members : ndarray (n, 4)
-        The burn-in population.
-    centre : ndarray (4,)
-        Of the independent draws.
-    factor : ndarray (4, 4)
-        Lower Cholesky factor of their scale matrix.
+    members : ndarray (n, SIZE)
+        The population.
+    white : ndarray (n, SIZE)
+        Centres of the kernels: the same, less `centre`, in units of `factor`, and drawn together
+        so that kernels do not widen the whole.
+    centre : ndarray (SIZE,)
+    factor : ndarray (SIZE, SIZE)
+        Lower Cholesky factor of the population's covariance.
+    width : float
+        Of the kernel that each member is spread by, in units of `factor`.
     """
 
     members: FloatArray
+    white: FloatArray
     centre: FloatArray
     factor: FloatArray
+    width: float
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_prior(theta, prior):  # type: ignore[no-untyped-def]
-    """Log prior of the four parameters, up to a constant."""
-    for i in range(2):
+def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
+    """Log prior of the parameters, up to a constant."""
+    for i in range(3):
         if not (prior.lower[i] <= theta[i] <= prior.upper[i]):
             return -np.inf
-    if not (NOISE_BOUNDS[0] <= theta[3] <= NOISE_BOUNDS[1]):
+    if not (NOISE_BOUNDS[0] <= theta[4] <= NOISE_BOUNDS[1]):
         return -np.inf
-    value = -0.5 * ((theta[3] - NOISE_MEAN) / NOISE_SD) ** 2
-    for i in range(2):
-        for j in range(2):
+    if np.cos(theta[2] - data.look) <= 0.0:  # the same sea floor, looked at the other way round
+        return -np.inf
+    value = -0.5 * ((theta[4] - NOISE_MEAN) / NOISE_SD) ** 2
+    highest = BLUR_BOUNDS[1] if data.field == 1 else STRAIGHT_BLUR
+    if not (BLUR_BOUNDS[0] <= theta[5] <= highest):
+        return -np.inf
+    value -= 0.5 * (theta[5] - data.blur[0]) ** 2 * data.blur[1]
+    if data.field == 1:
+        value -= 0.5 * (theta[3] / PHASE_SD) ** 2
+    for i in range(3):
+        for j in range(3):
             if prior.precision[i, j] != 0.0:
                 value -= (
                     0.5
@@ -110,242 +200,461 @@ def log_prior(theta, prior):  # type: ignore[no-untyped-def]
     return value
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def lit_fractions(theta, data, strip, lit):  # type: ignore[no-untyped-def]
-    """Fill the fraction of each bin's pixels that are not in shadow.
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _share(position, half):  # type: ignore[no-untyped-def]
+    """Share of a bin's pixels that lie before a position relative to its centre."""
+    return min(max(0.5 + 0.5 * position / half, 0.0), 1.0)
 
-    Half bin by half bin along the look a margin tells shadow, positive within: the running maximum
-    of (h - altitude) / range less its value here, or the published ray over the crest less h.
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def shadow_edges(ratio, steepness, data, edges):  # type: ignore[no-untyped-def]
+    """Fill begin and end of shadow past the crest and their changes with log ratio.
+
+    Return whether there is any shadow.
     """
-    lit[:] = 1.0
-    wave = 2.0 * np.pi * theta[0]
-    half = 0.5 * data.step
-    before = 2 * int(np.ceil(1.0 / (theta[0] * data.step))) if data.shadow == 1 else 0
-    first = wave * (data.start - before * half) + theta[2]
-    c, s = np.cos(first), np.sin(first)
-    turn_c, turn_s = np.cos(wave * half), np.sin(wave * half)
-    highest, margin, rise, earlier, entered = -np.inf, -1.0, -np.inf, -np.inf, -1.0
-    inside = False
-    for i in range(-before, 2 * lit.size + 1):
-        u = data.start + i * half
-        r = data.range0[strip] + data.range_slope[strip] * u
-        if r > half:
-            h = theta[1] * s
-            altitude = data.altitude0[strip] + data.altitude_slope[strip] * u
-            last = margin
-            if data.shadow == 1:
-                latest = (h - altitude) / r
-                margin = highest - latest
-                if margin > 0.0 and not inside:
-                    entered, highest = _vertex(i, earlier, rise, latest)
-                highest = max(highest, latest)
-                earlier, rise = rise, latest
+    place = min(steepness / data.table_steepness, 1.0) * (data.table.shape[0] - 1)
+    low = min(int(place), max(data.table.shape[0] - 2, 0))
+    high = min(low + 1, data.table.shape[0] - 1)
+    share = place - low
+    limit = (1.0 - share) * data.table[low, 2, 0] + share * data.table[high, 2, 0]
+    if not ratio < limit:
+        return False
+    n = data.table.shape[2] - 1
+    x = 2.0 / np.pi * np.arcsin(np.sqrt(ratio / limit)) * n
+    i = min(int(x), n - 1)
+    for k in range(2):
+        first = (1.0 - share) * data.table[low, k, i] + share * data.table[high, k, i]
+        second = (1.0 - share) * data.table[low, k, i + 1] + share * data.table[high, k, i + 1]
+        edges[k] = first + (x - i) * (second - first)
+        # d x / d log ratio = n / pi tan(pi x / 2 n)
+        edges[2 + k] = (second - first) * n / np.pi * min(np.tan(0.5 * np.pi * x / n), 50.0)
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _slope_of(c, s, steepness, profile):  # type: ignore[no-untyped-def]
+    """Slope over the steepest, from cosine and sine of the phase."""
+    if profile == SINE:
+        return c
+    if profile == PEAKED:
+        return (1.0 + s) * c / (0.75 * np.sqrt(3.0))
+    sine = 4.0 * steepness / (1.0 + np.sqrt(1.0 + 32.0 * steepness * steepness))
+    extreme = np.sqrt(1.0 - sine * sine) * (1.0 + 2.0 * steepness * sine)
+    return c * (1.0 + 2.0 * steepness * s) / extreme
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _steepest(steepness, profile):  # type: ignore[no-untyped-def]
+    """Steepest slope over A_H 2 pi f."""
+    if profile == SINE:
+        return 1.0
+    if profile == PEAKED:
+        return 0.75 * np.sqrt(3.0)
+    sine = 4.0 * steepness / (1.0 + np.sqrt(1.0 + 32.0 * steepness * steepness))
+    return np.sqrt(1.0 - sine * sine) * (1.0 + 2.0 * steepness * sine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _edges_seen(theta, data, block, farther, full, steepness, edges):  # type: ignore[no-untyped-def]
+    """Fill the shadow edges at a log slope of the ray from the block's; return whether any.
+
+    The slope of the ray is that of the point's own height; by the crest rule, that at the crest.
+    """
+    ratio = data.altitude[block] / data.reach[block] / steepness * np.exp(farther)
+    if not shadow_edges(ratio, full, data, edges):
+        return False
+    wave = 2.0 * np.pi * theta[0] * np.cos(theta[2] - data.look)
+    own = np.empty(4)
+    for k in range(2):
+        for _ in range(2):
+            if data.shadow == 2:
+                factor = 1.0 / max(1.0 - edges[k] / (wave * data.reach[block]), 0.05)
             else:
-                d = ((wave * u + theta[2] - 0.5 * np.pi) % (2.0 * np.pi)) / wave
-                margin = theta[1] - altitude * d / (r - d) - h if 0.0 < d < r else -1e-12
-                if margin > 0.0 and not inside:
-                    entered = i - 1 + last / (last - margin)
-            if inside and margin <= 0.0:
-                _hide(lit, entered, i - 1 + last / (last - margin), data)
-            inside = margin > 0.0
-        c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
-    if inside:
-        _hide(lit, entered, 2.0 * lit.size + 4.0, data)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _vertex(i, earlier, middle, latest):  # type: ignore[no-untyped-def]
-    """Return where between i - 2 and i three values are highest, by a parabola, and how high."""
-    bend = earlier - 2.0 * middle + latest
-    if not (bend < 0.0 and np.isfinite(earlier)):
-        return i - 1.0, middle
-    offset = 0.5 * (earlier - latest) / bend
-    return i - 1.0 + offset, middle - 0.25 * (earlier - latest) * offset
+                factor = 1.0 - theta[1] * np.cos(edges[k]) / data.altitude[block]
+            if not shadow_edges(ratio * max(factor, 0.05), full, data, own):
+                return False
+            edges[k], edges[2 + k] = own[k], own[2 + k]
+    return edges[1] > edges[0]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hide(lit, begin, end, data):  # type: ignore[no-untyped-def]
-    """Take a shadow between two places, in half bins, off the lit fractions.
-
-    Altitude stretches a shadow: its far edge smears over the strip, its near one hardly.
-    """
-    begin, end = 0.5 * begin, 0.5 * end
-    smeared = min(data.spread + data.smear * (end - begin), 1.0)
-    for i in range(max(int(begin) - 1, 0), min(int(end) + 2, lit.size)):
-        at = i + data.shift[i]
-        hidden = _share(end - at, smeared) - _share(begin - at, data.spread)
-        lit[i] = max(lit[i] - hidden, 0.0)
+def _hidden(past, begin, end, first, last):  # type: ignore[no-untyped-def]
+    """Share of a bin in shadow: its phase past the crest, edges, and half-widths at both."""
+    hidden = _share(end - past, last) - _share(begin - past, first)
+    turn = 2.0 * np.pi
+    if past < max(first, last):
+        hidden += _share(end - turn - past, last) - _share(begin - turn - past, first)
+    if past > turn - max(first, last):
+        hidden += _share(end + turn - past, last) - _share(begin + turn - past, first)
+    return min(max(hidden, 0.0), 1.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _share(position, spread):  # type: ignore[no-untyped-def]
-    """Share of a bin's pixels that lie before a position in it."""
-    return min(max((position - 0.5) / spread + 0.5, 0.0), 1.0)
+def _distance(past, begin, end):  # type: ignore[no-untyped-def]
+    """Distance of a phase past the crest from the nearer edge of a shadow, around the circle."""
+    first, last = abs(past - begin), abs(past - end)
+    return min(first, 2.0 * np.pi - first, last, abs(2.0 * np.pi - last))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def relative_intensity(theta, data, strip, shape, weight):  # type: ignore[no-untyped-def]
-    """Fill s = lit a*^2 + n0 for the bins of a strip, in units of the flat sea floor's mean.
+def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  # type: ignore[no-untyped-def]
+    """Fill s = lit a*^2 + n0 of a block's bins, over the flat sea floor, and the bins' weights.
 
-    Bins that touch a shadow's edge get the edges' weight, others 1; at short wavelengths, where
-    edges would make up the clip and excuse any misfit, all get 1.
+    `offset` is what the ripple's phase is ahead of the bins', `stretch` how that grows along the
+    look, rad/m, and `blur` how far (rad) crests stray.
     """
-    weight[:] = 1.0
-    if data.shadow == 0:
-        shape[:] = 1.0
-    else:
-        lit_fractions(theta, data, strip, shape)
-        if theta[0] * data.step * EDGE_WAVELENGTH < 1.0:
-            for i in range(1, shape.size):
-                if shape[i] != shape[i - 1]:
-                    weight[i - 1] = weight[i] = EDGE_WEIGHT
-    wave = 2.0 * np.pi * theta[0]
-    tilt = np.arctan(wave * theta[1])
+    along = np.cos(theta[2] - data.look)
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    steepness = full * along
+    tilt = np.arctan(steepness * _steepest(full, data.profile))
     damping = np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE))
-    noise = np.exp(theta[3])
-    first = wave * (data.start + 0.5 * data.step) + theta[2]
-    turn = wave * data.step
+    damping *= np.exp(-0.5 * blur * blur)
+    grow = np.exp(tilt * data.tilt[block] / SIGMA_VARIANCE)
+    swing = damping * 0.5 * (grow - 1.0 / grow)
+    change = damping * 0.5 * (grow + 1.0 / grow) * tilt / SIGMA_VARIANCE
+    noise = np.exp(theta[4])
+    edges = np.zeros(4)
+    shadowed, onset = False, False
+    if data.shadow > 0 and steepness > 0.0:
+        shadowed = _edges_seen(theta, data, block, 0.0, full, steepness, edges)
+        limit = data.table[0, 2, 0]
+        if data.profile == STOKES:
+            limit *= _steepest(full, STOKES)
+        ratio = data.altitude[block] / data.reach[block] / (steepness * limit)
+        onset = ONSET[0] < ratio < ONSET[1]  # edges part too fast for a straight line through them
+    widen = np.sqrt(3.0) * blur
+    widen_first = np.hypot(data.spread[block] * edges[2], widen)
+    widen_last = np.hypot(data.spread[block] * edges[3], widen)
+    cos_offset, sin_offset = np.cos(offset), np.sin(offset)
+    weight[:] = 1.0
     for i in range(shape.size):
-        c = np.cos(first + turn * (i + data.shift[i]))
-        grow = np.exp(-tilt * data.tilt[strip, i] / SIGMA_VARIANCE)
-        a = 1.0 + damping * 0.5 * (grow - 1.0 / grow) * c
-        a = max(a, 0.0)
-        shape[i] = shape[i] * data.flat[strip, i] * a * a + noise
+        if data.total[block, i] == 0.0 and data.field == 0:
+            shape[i] = 1.0  # no pixel asks
+            continue
+        c = data.cosine[block, i] * cos_offset - data.sine[block, i] * sin_offset
+        s = data.sine[block, i] * cos_offset + data.cosine[block, i] * sin_offset
+        more = stretch * data.ahead[block, i]
+        c, s = c - more * s, s + more * c
+        reach = swing + change * data.steeper[block, i]
+        a = max(1.0 + reach * _slope_of(c, s, full, data.profile), 0.0)
+        value = a * a * data.flat[block, i]
+        if onset:
+            own = _edges_seen(theta, data, block, data.farther[block, i], full, steepness, edges)
+        if shadowed or onset:
+            past = data.phase[block, i] + offset + more - 0.5 * np.pi
+            past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))
+            half = data.half[block, i]
+            hidden, near = 0.0, np.inf
+            if onset:
+                if own:
+                    both = np.hypot(half, widen)
+                    hidden = _hidden(past, edges[0], edges[1], both, both)
+                    near = _distance(past, edges[0], edges[1])
+            else:
+                farther = data.farther[block, i]
+                begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
+                first, last = np.hypot(half, widen_first), np.hypot(half, widen_last)
+                hidden = _hidden(past, begin, end, first, last)
+                near = _distance(past, begin, end)
+            value *= 1.0 - hidden
+            # of lit and dark pixels together the intensity varies 2 / lit - 1 times as much
+            lit = 1.0 - hidden
+            dark = min(SHADOW_PIXELS / max(data.pixels[block, i], 1.0), 1.0)
+            weight[i] = max(lit / (2.0 - lit), dark)
+            beyond = min(max((near - half) / data.guard, 0.0), 1.0)
+            weight[i] *= data.dither[block, i] + (1.0 - data.dither[block, i]) * beyond * beyond
+        shape[i] = value + noise
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fundamental_lag(shape, data, block):  # type: ignore[no-untyped-def]
+    """Phase of a pulse's fundamental: how far its brightest part lies past phase zero, rad."""
+    real, imaginary = 0.0, 0.0
+    for i in range(shape.size):
+        real += shape[i] * data.cosine[block, i]
+        imaginary += shape[i] * data.sine[block, i]
+    return np.arctan2(imaginary, real)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _smeared(shape, sd, scratch):  # type: ignore[no-untyped-def]
+    """Convolve a pulse on an even grid of phases with a Gaussian of sd rad, in place."""
+    n = shape.size
+    step = 2.0 * np.pi / n
+    reach = min(int(np.ceil(3.0 * sd / step)), n // 2 - 1)
+    if reach < 1:
+        return
+    scratch[:] = shape
+    total = 1.0
+    for k in range(1, reach + 1):
+        total += 2.0 * np.exp(-0.5 * (k * step / sd) ** 2)
+    for i in range(n):
+        shape[i] = scratch[i] / total
+    for k in range(1, reach + 1):
+        share = np.exp(-0.5 * (k * step / sd) ** 2) / total
+        for i in range(n):
+            shape[i] += share * (scratch[(i + k) % n] + scratch[i - k])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def block_model(theta, data, block, shape, weight, scratch):  # type: ignore[no-untyped-def]
+    """Fill a block's intensity bin by bin as the image shows it, and weights; return the lag.
+
+    With a phase field the bins' phase is that of the image's fundamental, which lies past the
+    ripple's own by the lag, and the field's error smears the pulse.
+    """
+    if data.field == 0:
+        along = theta[0] * np.cos(theta[2] - data.look) - data.base[0]
+        across = theta[0] * np.sin(theta[2] - data.look) - data.base[1]
+        place = along * data.along[block] + across * data.across[block]
+        offset = theta[3] + 2.0 * np.pi * place
+        stretch = 2.0 * np.pi * along
+        block_intensity(theta, data, block, offset, stretch, np.exp(theta[5]), shape, weight)
+        return 0.0
+    block_intensity(theta, data, block, 0.0, 0.0, 0.0, shape, weight)
+    lag = fundamental_lag(shape, data, block)
+    block_intensity(theta, data, block, lag + theta[3], 0.0, 0.0, shape, weight)
+    _smeared(shape, np.exp(theta[5]), scratch)
+    weight[:] = 1.0
+    return lag
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def log_likelihood(theta, data):  # type: ignore[no-untyped-def]
-    """Speckle log likelihood with the gain integrated out, up to a constant."""
-    strips, bins = data.pixels.shape
+    """Speckle log likelihood with the blocks' gains integrated out, up to a constant."""
+    blocks, bins = data.pixels.shape
     shape = np.empty(bins)
     weight = np.empty(bins)
+    scratch = np.empty(bins)
+    value, bend, previous = 0.0, 0.0, 0.0
     pixels, logs, scaled = 0.0, 0.0, 0.0
-    for strip in range(strips):
-        relative_intensity(theta, data, strip, shape, weight)
+    for block in range(blocks):
+        lag = block_model(theta, data, block, shape, weight, scratch)
+        lag = previous + (lag - previous + np.pi) % (2.0 * np.pi) - np.pi
+        previous = lag
+        bend += data.lagging[block] * lag
         for i in range(bins):
-            n = weight[i] * data.pixels[strip, i]
-            if n > 0.0:
-                pixels += n
-                logs += n * (np.log(shape[i]) - data.log_mean[strip, i])
-                scaled += weight[i] * data.total[strip, i] / shape[i]
-    return -logs - pixels * np.log(scaled / pixels)
+            if data.total[block, i] == 0.0:
+                continue
+            n = weight[i] * data.pixels[block, i]
+            pixels += n
+            # a true model loses half a unit to a bin's own mean: no reason to prefer light bins
+            value += 0.5 * weight[i]
+            logs += n * (np.log(shape[i]) - data.log_mean[block, i])
+            scaled += weight[i] * data.total[block, i] / shape[i]
+        if block + 1 == blocks or data.group[block + 1] != data.group[block]:
+            if pixels > 0.0:
+                value -= logs + pixels * np.log(scaled / pixels)
+            pixels, logs, scaled = 0.0, 0.0, 0.0
+    value *= data.power
+    along = theta[0] * np.cos(theta[2] - data.look) - bend / (2.0 * np.pi) - data.wave[0]
+    across = theta[0] * np.sin(theta[2] - data.look) - data.wave[1]
+    value -= 0.5 * (along**2 * data.wave_precision[0] + across**2 * data.wave_precision[1])
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def pulses(theta, data):  # type: ignore[no-untyped-def]
+    """Intensity of each block and bin as the image shows it, gain included (blocks, bins)."""
+    blocks, bins = data.pixels.shape
+    result = np.empty((blocks, bins))
+    weight = np.empty((blocks, bins))
+    scratch = np.empty(bins)
+    first, pixels, scaled = 0, 0.0, 0.0
+    for block in range(blocks):
+        block_model(theta, data, block, result[block], weight[block], scratch)
+        for i in range(bins):
+            if data.total[block, i] > 0.0:
+                pixels += weight[block, i] * data.pixels[block, i]
+                scaled += weight[block, i] * data.total[block, i] / result[block, i]
+        if block + 1 == blocks or data.group[block + 1] != data.group[block]:
+            result[first : block + 1] *= scaled / pixels if pixels > 0.0 else 1.0
+            first, pixels, scaled = block + 1, 0.0, 0.0
+    return result
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def log_posterior(theta, data, prior):  # type: ignore[no-untyped-def]
-    """Log posterior of the four parameters, up to a constant."""
-    value = log_prior(theta, prior)
+    """Log posterior of the parameters, up to a constant."""
+    value = log_prior(theta, data, prior)
     if value == -np.inf:
         return value
     return value + log_likelihood(theta, data)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def scan_grid(frequencies, heights, phases, noise, data, prior, table):  # type: ignore[no-untyped-def]
-    """Fill rows (theta, log posterior) of a table over a grid of f, A_H and b."""
-    row = 0
-    theta = np.empty(4)
-    theta[3] = noise
-    for f in frequencies:
-        for height in heights:
-            for b in phases:
-                theta[0], theta[1], theta[2] = f, height, b
-                table[row, :4] = theta
-                table[row, 4] = log_likelihood(theta, data) + log_prior(theta, prior)
-                row += 1
+def climb(theta, step, data, prior, rounds):  # type: ignore[no-untyped-def]
+    """Climb the log posterior in place by a pattern search; return it.
+
+    Each parameter is tried a step up and down; steps grow by success and shrink by failure.
+    """
+    level = log_posterior(theta, data, prior)
+    for _ in range(rounds):
+        for i in range(theta.size):
+            old = theta[i]
+            moved = False
+            for sign in (1.0, -1.0):
+                theta[i] = old + sign * step[i]
+                candidate = log_posterior(theta, data, prior)
+                if candidate > level:
+                    level = candidate
+                    moved = True
+                    break
+                theta[i] = old
+            step[i] *= 1.6 if moved else 0.45
+    return level
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def move_population(particles, level, power, factor, moves, data, prior, rng):  # type: ignore[no-untyped-def]
-    """Move particles in place by Metropolis-Hastings at a power of the likelihood.
+def half_widths(x, step, data, prior):  # type: ignore[no-untyped-def]
+    """Distance along each coordinate over which the log density falls by about 2, from a peak."""
+    level = log_target(x, data, prior, 1.0)
+    result = step.copy()
+    moved = x.copy()
+    for i in range(x.size):
+        for _ in range(40):
+            moved[i] = x[i] + result[i]
+            up = level - log_target(moved, data, prior, 1.0)
+            moved[i] = x[i] - result[i]
+            down = level - log_target(moved, data, prior, 1.0)
+            if min(up, down) < 4.0:
+                break
+            result[i] *= 0.5
+        moved[i] = x[i]
+    return result
 
-    Returns the accepted fraction; `factor` is the Cholesky factor of the steps' covariance.
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def scan_table(table, data):  # type: ignore[no-untyped-def]
+    """Fill the last column of rows (theta, log likelihood)."""
+    for row in range(table.shape[0]):
+        table[row, SIZE] = log_likelihood(table[row, :SIZE], data)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_target(x, data, prior, power):  # type: ignore[no-untyped-def]
+    """Log density that is sampled: the posterior with its likelihood to a power, of coordinates x.
+
+    They are theta, but A_H / (1 + n0) for A_H: contrast tells that ratio, and samplers dislike the
+    bent ridge that it makes of A_H and log n0.
+    """
+    theta = x.copy()
+    stretch = 1.0 + np.exp(x[4])
+    theta[1] = x[1] * stretch
+    value = log_prior(theta, data, prior)
+    if value == -np.inf:
+        return value
+    value += np.log(stretch)
+    return value + power * log_likelihood(theta, data) if power > 0.0 else value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def move_population(particles, level, power, proposal, moves, data, prior, rng):  # type: ignore[no-untyped-def]
+    """Move particles in place by Metropolis-Hastings; return the accepted fraction.
+
+    `level` is their log density at this power.
     """
     n, size = particles.shape
     accepted = 0
     proposed = np.empty(size)
-    normal = np.empty(size)
     for k in range(n):
-        before = log_prior(particles[k], prior)
         for _ in range(moves):
-            # steps of several sizes: one covariance does not fit all modes
-            scale = 1.2 * 10.0 ** (-1.5 * rng.random())
-            for i in range(size):
-                normal[i] = rng.normal()
-            for i in range(size):
-                proposed[i] = particles[k, i]
-                for j in range(i + 1):
-                    proposed[i] += scale * factor[i, j] * normal[j]
-            after = log_prior(proposed, prior)
-            if after == -np.inf:
-                continue
-            candidate = log_likelihood(proposed, data)
-            gain = power * (candidate - level[k]) + after - before
-            if np.log(rng.random()) < gain:
+            if rng.random() < NUISANCE:
+                _refresh(particles[k], data, rng, proposed)
+            else:
+                _step(particles[k], proposal, rng, proposed)
+            candidate = log_target(proposed, data, prior, power)
+            if np.log(rng.random()) < candidate - level[k]:
                 particles[k] = proposed
                 level[k] = candidate
-                before = after
                 accepted += 1
     return accepted / (n * moves)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def run_chain(state, proposal, data, prior, rng, draws):  # type: ignore[no-untyped-def]
-    """Fill draws (n, 4) with a Metropolis-Hastings chain; return how many steps it accepted."""
+    """Fill draws (n, SIZE) with a Metropolis-Hastings chain; return how many steps it accepted."""
     current = state.copy()
-    level = log_posterior(current, data, prior)
+    level = log_target(current, data, prior, 1.0)
+    density = log_density(current, proposal)
     proposed = np.empty(state.size)
     accepted = 0
     for step in range(draws.shape[0]):
-        correction = _propose(current, proposal, rng, proposed)
-        candidate = log_posterior(proposed, data, prior)
-        if np.log(rng.random()) < candidate - level + correction:
+        kind = rng.random()
+        correction = 0.0
+        if kind < LOCAL:
+            _step(current, proposal, rng, proposed)
+        elif kind < LOCAL + NUISANCE:
+            _refresh(current, data, rng, proposed)
+        else:
+            _draw(proposal, rng, proposed)
+        candidate = log_target(proposed, data, prior, 1.0)
+        there = log_density(proposed, proposal)
+        if kind >= LOCAL + NUISANCE:
+            correction = density - there
+        gain = candidate - level + correction
+        if np.log(rng.random()) < gain:
             current[:] = proposed
-            level = candidate
+            level, density = candidate, there
             accepted += 1
         draws[step] = current
     return accepted
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _propose(current, proposal, rng, proposed):  # type: ignore[no-untyped-def]
-    """Fill a proposed state; return log q(current | proposed) - log q(proposed | current)."""
-    size = current.size
-    kind = rng.random()
-    if kind < LOCAL + CROSSING:
-        length = proposal.members.shape[0]
-        first = rng.integers(0, length)
-        second = rng.integers(0, length)
-        scale = 1.0
-        if kind < LOCAL:
-            scale = 2.38 / np.sqrt(2.0 * size) * 10.0 ** (-rng.random())
-        for i in range(size):
-            proposed[i] = current[i] + scale * (
-                proposal.members[first, i] - proposal.members[second, i]
-            )
-            # the population alone spans finitely many points; a little noise reaches all others
-            proposed[i] += 1e-3 * proposal.factor[i, i] * rng.normal()
-        return 0.0
-    heavy = np.sqrt(STUDENT / rng.chisquare(STUDENT))
-    normal = np.empty(size)
-    for i in range(size):
-        normal[i] = rng.normal()
-        proposed[i] = proposal.centre[i]
-        for j in range(i + 1):
-            proposed[i] += heavy * proposal.factor[i, j] * normal[j]
-    return _log_student(current, proposal) - _log_student(proposed, proposal)
+def _refresh(current, data, rng, proposed):  # type: ignore[no-untyped-def]
+    """Fill a state with another noise floor or blur: steps as wide as the prior, or a tenth."""
+    proposed[:] = current
+    width = 10.0 ** (-rng.random())
+    if rng.random() < 0.6:
+        proposed[4] += width * NOISE_SD * rng.normal()
+    else:
+        proposed[5] += width / np.sqrt(data.blur[1]) * rng.normal()
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _log_student(x, proposal):  # type: ignore[no-untyped-def]
-    """Log density of the independent draws, up to a constant."""
+def _step(current, proposal, rng, proposed):  # type: ignore[no-untyped-def]
+    """Fill a state that the difference of two members leads to."""
+    size, length = current.size, proposal.members.shape[0]
+    first = rng.integers(0, length)
+    second = rng.integers(0, length)
+    scale = 2.38 / np.sqrt(2.0 * size) * 10.0 ** (-rng.random())
+    for i in range(size):
+        step = proposal.members[first, i] - proposal.members[second, i]
+        # the population alone spans finitely many points; a little noise reaches all others
+        proposed[i] = current[i] + scale * step + 1e-3 * proposal.factor[i, i] * rng.normal()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _draw(proposal, rng, proposed):  # type: ignore[no-untyped-def]
+    """Fill a state drawn from the population's density."""
+    size = proposed.size
+    member = rng.integers(0, proposal.white.shape[0])
+    heavy = proposal.width * np.sqrt(STUDENT / rng.chisquare(STUDENT))
+    proposed[:] = proposal.centre
+    for j in range(size):
+        z = proposal.white[member, j] + heavy * rng.normal()
+        for i in range(j, size):
+            proposed[i] += proposal.factor[i, j] * z
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_density(x, proposal):  # type: ignore[no-untyped-def]
+    """Log density of the population, spread by Student kernels, up to a constant."""
     size = x.size
     z = np.empty(size)
-    square = 0.0
     for i in range(size):
         z[i] = x[i] - proposal.centre[i]
         for j in range(i):
             z[i] -= proposal.factor[i, j] * z[j]
         z[i] /= proposal.factor[i, i]
-        square += z[i] * z[i]
-    return -0.5 * (STUDENT + size) * np.log1p(square / STUDENT)
+    total = 0.0
+    scale = 1.0 / (STUDENT * proposal.width * proposal.width)
+    for k in range(proposal.white.shape[0]):
+        square = 1.0
+        for i in range(size):
+            offset = z[i] - proposal.white[k, i]
+            square += offset * offset * scale
+        fourth = square * square * square * square
+        total += square / (fourth * fourth)  # to the power of -7
+    return np.log(total)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from sasmap.ripples import diagnostics
 from sasmap.ripples.likelihood import Prior
-from sasmap.ripples.posterior import LeftOut, Posterior, Quality
+from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
 from sasmap.ripples.settings import RippleSettings
 
 # Change and misregistration between two passes, as a fraction of f and A_H (standard deviation).
 SCATTER = (0.002, 0.02)
+# The same of the azimuth, degrees.
+AZIMUTH_SCATTER = 0.5
 # What Zare and Cobb set by hand: cycles/m and m.
 PUBLISHED_SD = (0.003, 0.17)
 
@@ -26,12 +28,21 @@ class Summary:
 
     Attributes
     ----------
-    mean, sd, q05, q95, prior_mean, prior_sd, rhat, ess_bulk, ess_tail : tuple of float
+    mean, sd, q05, q95, prior_mean, prior_sd : tuple of float
         Of f (cycles/m) and A_H (m).
+    rhat, ess_bulk, ess_tail : tuple of float
+        Of f, A_H and the azimuth.
     correlation : float
         Between f and A_H.
-    azimuth : float
-        Crest normal, degrees clockwise from grid north.
+    azimuth : tuple of float
+        Axial mean and standard deviation of the crest normal's, degrees clockwise from grid north.
+    probability : float
+        That the cell is rippled.
+    coherence_length : float
+        m.
+    rippled_fraction, noise_factor : float
+    profile : str
+        Empty without ripples.
     """
 
     quality: Quality
@@ -43,11 +54,17 @@ class Summary:
     correlation: float = NAN
     prior_mean: tuple[float, float] = (NAN, NAN)
     prior_sd: tuple[float, float] = (NAN, NAN)
-    rhat: tuple[float, float] = (NAN, NAN)
-    ess_bulk: tuple[float, float] = (NAN, NAN)
-    ess_tail: tuple[float, float] = (NAN, NAN)
+    rhat: tuple[float, float, float] = (NAN, NAN, NAN)
+    ess_bulk: tuple[float, float, float] = (NAN, NAN, NAN)
+    ess_tail: tuple[float, float, float] = (NAN, NAN, NAN)
     acceptance: float = NAN
-    azimuth: float = NAN
+    azimuth: tuple[float, float] = (NAN, NAN)
+    prior_azimuth: tuple[float, float] = (NAN, NAN)
+    probability: float = NAN
+    coherence_length: float = NAN
+    rippled_fraction: float = NAN
+    noise_factor: float = NAN
+    profile: str = ""
 
 
 def summarise(posterior: Posterior) -> Summary:
@@ -62,7 +79,9 @@ def summarise(posterior: Posterior) -> Summary:
     Summary
     """
     if not posterior.sampled:
-        return Summary(posterior.quality, posterior.left_out)
+        return Summary(
+            posterior.quality, posterior.left_out, probability=posterior.probability
+        )
     draws = [posterior.draws[name].values for name in ("frequency", "height")]
     q05, q95 = (tuple(float(np.quantile(d, p)) for d in draws) for p in (0.05, 0.95))
     spread = [float(d.std(ddof=1)) for d in draws]
@@ -78,12 +97,32 @@ def summarise(posterior: Posterior) -> Summary:
         correlation=correlation,
         prior_mean=posterior.prior.mean,
         prior_sd=posterior.prior.sd,
-        rhat=_pair(map(diagnostics.rhat, draws)),
-        ess_bulk=_pair(map(diagnostics.ess_bulk, draws)),
-        ess_tail=_pair(map(diagnostics.ess_tail, draws)),
+        rhat=_triple(posterior.rhat),
+        ess_bulk=_triple(posterior.ess_bulk),
+        ess_tail=_triple(posterior.ess_tail),
         acceptance=posterior.acceptance,
         azimuth=posterior.azimuth,
+        prior_azimuth=posterior.prior.azimuth,
+        probability=posterior.probability,
+        **_shape(posterior),
     )
+
+
+def _shape(posterior: Posterior) -> dict[str, Any]:
+    shape = posterior.shape
+    if shape is None:
+        return {}
+    return {
+        "coherence_length": shape.coherence_length,
+        "rippled_fraction": shape.rippled_fraction,
+        "noise_factor": shape.noise_factor,
+        "profile": shape.profile,
+    }
+
+
+def _triple(values: Mapping[str, float]) -> tuple[float, float, float]:
+    first, second, third = (values.get(name, NAN) for name in JUDGED)
+    return first, second, third
 
 
 def _pair(values: Iterable[float]) -> tuple[float, float]:
@@ -121,6 +160,7 @@ def next_prior(earlier: Sequence[Summary], settings: RippleSettings) -> Prior:
         _pair(np.maximum(wide, 1e-12)),
         (settings.frequency, settings.height),
         float(np.clip(last.correlation * shrink, -0.999, 0.999)),
+        (last.azimuth[0], float(np.hypot(last.azimuth[1], AZIMUTH_SCATTER))),
     )
 
 

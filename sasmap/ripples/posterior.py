@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 MAX_RHAT = 1.01
 MIN_ESS = 400.0
 QUANTILES = (0.05, 0.5, 0.95)
-JUDGED = ("frequency", "height")
+JUDGED = ("frequency", "height", "azimuth")
 
 
 class Quality(IntEnum):
@@ -65,6 +65,50 @@ NOTHING = LeftOut(0)
 
 
 @dataclass(frozen=True)
+class Shape:
+    """How the crests of a clip run.
+
+    Attributes
+    ----------
+    profile : str
+        sine, stokes or peaked.
+    coherence_length : float
+        Distance over which the phase, less its mean slope, stays correlated (1/e), m; at least
+        the clip's diagonal where crests are straight.
+    rippled_fraction : float
+        Of the valid area.
+    stiffness : float
+        Smoothing of the phase field, m; infinite where crests are straight.
+    noise_factor : float
+        Variance of the speckle over that of independent pixels.
+    """
+
+    profile: str
+    coherence_length: float
+    rippled_fraction: float
+    stiffness: float
+    noise_factor: float
+
+
+def axial(degrees: FloatArray) -> tuple[float, float]:
+    """Mean (0 to 180) and standard deviation of axial angles, degrees.
+
+    Parameters
+    ----------
+    degrees : ndarray
+
+    Returns
+    -------
+    mean, sd : float
+        The standard deviation of the angles turned to within 90 degrees of the mean.
+    """
+    twice = np.radians(2 * degrees)
+    mean = float(np.degrees(np.arctan2(np.sin(twice).mean(), np.cos(twice).mean())) / 2)
+    offset = (degrees - mean + 90) % 180 - 90
+    return (mean + float(offset.mean())) % 180, float(offset.std())
+
+
+@dataclass(frozen=True)
 class Posterior:
     """Posterior of one clip.
 
@@ -76,22 +120,33 @@ class Posterior:
         Of (f, A_H), as used.
     draws : Dataset (chain, draw)
         ``frequency`` (cycles/m), ``height`` (A_H, m), ``phase`` (rad, at the clip's centre) and
-        ``noise`` (floor over the flat sea floor's intensity); without draws where no ripple was
-        sampled.
-    azimuth : float
-        Crest normal, degrees clockwise from grid north, 0 to 180; NaN without ripples.
+        ``noise`` (floor over the flat sea floor's intensity), ``azimuth`` (crest normal, degrees
+        clockwise from grid north, unwrapped about its mean) and ``blur`` (rad by which crests
+        stray from the phase); without draws where no ripple was sampled.
     acceptance : float
         Accepted fraction of the kept steps.
     left_out : LeftOut
         What the clip did not need.
+    probability : float
+        That the clip is rippled.
+    shape : Shape or None
+        How the crests run; None without draws.
+    model : ndarray (rows, columns) or None
+        Posterior mean of the amplitude, in the clip's units, where asked for; NaN where no
+        geometry is known or no ripple is.
+    chains : Dataset (chain, draw)
+        The Markov chains that `draws` were made from, for diagnostics; `draws` where not given.
     """
 
     quality: Quality
     prior: Prior
     draws: xr.Dataset = field(default_factory=xr.Dataset)
-    azimuth: float = float("nan")
     acceptance: float = float("nan")
     left_out: LeftOut = NOTHING
+    probability: float = float("nan")
+    shape: Shape | None = None
+    model: FloatArray | None = None
+    chains: xr.Dataset = field(default_factory=xr.Dataset)
 
     @property
     def sampled(self) -> bool:
@@ -114,19 +169,31 @@ class Posterior:
         return self.draws.quantile(QUANTILES)
 
     @property
+    def azimuth(self) -> tuple[float, float]:
+        """Axial mean (0 to 180) and standard deviation of the crest normal's azimuth, degrees."""
+        if "azimuth" not in self.draws:
+            return float("nan"), float("nan")
+        return axial(self.draws["azimuth"].values)
+
+    @property
+    def _judged(self) -> dict[str, FloatArray]:
+        chains = self.chains if self.chains.sizes else self.draws
+        return {name: chains[name].values for name in JUDGED if name in chains}
+
+    @property
     def rhat(self) -> dict[str, float]:
-        """Rank-normalised split R-hat of f and A_H."""
-        return {name: diagnostics.rhat(self.draws[name].values) for name in JUDGED}
+        """Rank-normalised split R-hat of f, A_H and the azimuth."""
+        return {name: diagnostics.rhat(v) for name, v in self._judged.items()}
 
     @property
     def ess_bulk(self) -> dict[str, float]:
-        """Bulk effective sample size of f and A_H."""
-        return {name: diagnostics.ess_bulk(self.draws[name].values) for name in JUDGED}
+        """Bulk effective sample size of f, A_H and the azimuth."""
+        return {name: diagnostics.ess_bulk(v) for name, v in self._judged.items()}
 
     @property
     def ess_tail(self) -> dict[str, float]:
-        """Tail effective sample size of f and A_H."""
-        return {name: diagnostics.ess_tail(self.draws[name].values) for name in JUDGED}
+        """Tail effective sample size of f, A_H and the azimuth."""
+        return {name: diagnostics.ess_tail(v) for name, v in self._judged.items()}
 
 
 def converged(draws: FloatArray) -> bool:
@@ -141,6 +208,7 @@ def converged(draws: FloatArray) -> bool:
 def dataset(draws: FloatArray, names: tuple[str, ...]) -> xr.Dataset:
     """Label draws (chain, draw, parameter)."""
     units = {"frequency": "cycles/m", "height": "m", "phase": "rad", "noise": "1"}
+    units |= {"azimuth": "degrees", "blur": "rad"}
     return xr.Dataset(
         {
             name: (("chain", "draw"), draws[..., i], {"units": units[name]})

@@ -1,9 +1,8 @@
-"""Metropolis-Hastings for a clip's four parameters: state and proposal apart.
+"""Metropolis-Hastings for a clip's parameters: state and proposal apart.
 
-The proposal is learned from the burn-in population and then frozen, so that the kept draws come
-from one reversible chain: a mixture of independent draws from a Student t, and of differences
-between two members of the population (ter Braak and Vrugt 2008), of which those at full length
-cross between modes.
+The proposal is learned in burn-in and then frozen, so that the kept draws come from one reversible
+chain. States are drawn anew from the density of the burn-in population, whose many kernels follow
+ridges and several modes, or step by differences of its members (ter Braak and Vrugt 2008).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.kernel import PriorData, Proposal, SpeckleData, run_chain
+from sasmap.ripples.kernel import STUDENT, FoldData, PriorData, Proposal, run_chain
 
 FloatArray = NDArray[np.float64]
 
@@ -23,7 +22,7 @@ class Chain(NamedTuple):
 
     Attributes
     ----------
-    draws : ndarray (n, 4)
+    draws : ndarray (n, SIZE)
     accepted : int
     """
 
@@ -31,18 +30,27 @@ class Chain(NamedTuple):
     accepted: int
 
 
-def learn_proposal(particles: FloatArray) -> Proposal:
+def learn_proposal(particles: FloatArray, widen: float = 1.0) -> Proposal:
     """Fit the proposal to a burn-in population.
 
     Parameters
     ----------
-    particles : ndarray (n, 4)
+    particles : ndarray (n, SIZE)
+    widen : float
+        By which the population is spread about its mean first.
 
     Returns
     -------
     Proposal
     """
-    return Proposal(particles.copy(), particles.mean(axis=0), covariance_factor(particles, 1e-4))
+    n, size = particles.shape
+    centre = particles.mean(axis=0)
+    particles = centre + widen * (particles - centre)
+    factor = covariance_factor(particles, 1e-4)
+    white = np.linalg.solve(factor, (particles - centre).T).T
+    width = (4 / ((size + 2) * n)) ** (1 / (size + 4))  # Silverman's
+    together = np.sqrt(1 - width**2 * STUDENT / (STUDENT - 2))
+    return Proposal(particles.copy(), together * white, centre, factor, width)
 
 
 def covariance_factor(particles: FloatArray, ridge: float) -> FloatArray:
@@ -50,13 +58,13 @@ def covariance_factor(particles: FloatArray, ridge: float) -> FloatArray:
 
     Parameters
     ----------
-    particles : ndarray (n, 4)
+    particles : ndarray (n, SIZE)
     ridge : float
         Added to the diagonal of their correlation matrix.
 
     Returns
     -------
-    ndarray (4, 4)
+    ndarray (SIZE, SIZE)
         Lower Cholesky factor.
     """
     sd = np.maximum(particles.std(axis=0), 1e-12 * np.maximum(np.abs(particles).max(axis=0), 1e-6))
@@ -69,7 +77,7 @@ def metropolis(
     state: FloatArray,
     steps: int,
     proposal: Proposal,
-    data: SpeckleData,
+    data: FoldData,
     prior: PriorData,
     rng: np.random.Generator,
 ) -> Chain:
@@ -77,11 +85,11 @@ def metropolis(
 
     Parameters
     ----------
-    state : ndarray (4,)
+    state : ndarray (SIZE,)
         Start, with finite log posterior.
     steps : int
     proposal : Proposal
-    data : SpeckleData
+    data : FoldData
     prior : PriorData
     rng : Generator
 

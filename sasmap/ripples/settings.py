@@ -25,6 +25,18 @@ class RippleSettings(BaseModel):
         "line-of-sight",
         description="shadow rule; crest is the published one, always used by zare-cobb",
     )
+    profile: Literal["auto", "sine", "stokes", "peaked"] = Field(
+        "auto", description="crest profile; auto: sine unless the image says otherwise"
+    )
+    presence: Literal["tested", "assumed"] = Field(
+        "tested",
+        description="assumed: the strongest wave of every cell is estimated, ripple or not",
+    )
+    speckle: Literal["measured", "independent"] = Field(
+        "measured",
+        description="measured: correlated and textured speckle counts as fewer pixels",
+    )
+    keep_model: bool = Field(False, description="write modelled_amplitude.tif")
     chains: Annotated[int, Field(ge=2, le=64)] = Field(
         4, description="Markov chains per clip; zare-cobb runs one, as published"
     )

@@ -12,110 +12,173 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.kernel import (
+    BLUR_BOUNDS,
     NOISE_BOUNDS,
+    SIZE,
+    STRAIGHT_BLUR,
+    FoldData,
     PriorData,
-    SpeckleData,
-    log_likelihood,
+    climb,
+    half_widths,
+    log_target,
     move_population,
-    scan_grid,
+    scan_table,
 )
 from sasmap.ripples.likelihood import Prior
-from sasmap.ripples.presence import MIN_WAVES, Spectrum
-from sasmap.ripples.sampler import covariance_factor
+from sasmap.ripples.sampler import learn_proposal
 
 FloatArray = NDArray[np.float64]
 
-HEIGHTS = 14
-PHASES = 8
-NOISE = float(np.log(0.02))
-PARTICLES = 96
+HEIGHTS = 18
+PHASES = 12
+NOISES = (np.log(0.004), np.log(0.05))
+BLURS = (0.6, 1.0, 1.7)
+PARTICLES = 120
 # Moves per temperature, and the share of effective particles that sets the next temperature.
-MOVES = 4
-KEPT_SHARE = 0.5
-FIRST_SHARE = 0.3
-MAX_STAGES = 200
+MOVES = 3
+KEPT_SHARE = 0.3
+MAX_STAGES = 100
+# Other points of the scan that are climbed from, how far below the best their peaks may be, and by
+# how much the first population is wider than the peaks.
+RIVALS = 2
+RIVAL_MARGIN = 60.0
+WIDEN = 2.0
+# Spread of the starts' wave vector, in parts of a cycle over the clip.
+WAVE_SPREAD = 0.04
+
+
+def scan(data: FoldData, prior: Prior) -> FloatArray:
+    """Evaluate the likelihood over a coarse grid of A_H, noise and phase (or the field's error).
+
+    Parameters
+    ----------
+    data : FoldData
+    prior : Prior
+
+    Returns
+    -------
+    ndarray (n, SIZE + 1)
+        theta and log likelihood, at the fold's wave vector (as near as the prior allows).
+    """
+    wave = data.base if data.field == 0 else data.wave
+    azimuth = data.look + np.arctan2(wave[1], wave[0])
+    spot = _bulk(prior, 0)
+    frequency = float(np.clip(np.hypot(*wave), *prior.bounds[0]))
+    if spot is not None and abs(frequency - spot[0]) > 4 * spot[1]:
+        frequency = spot[0]
+    phases, blurs = 2 * np.pi * np.arange(PHASES) / PHASES, data.blur[:1]
+    if data.field == 1:
+        phases, blurs = np.zeros(1), np.clip(data.blur[0] + np.log(BLURS), *BLUR_BOUNDS)
+    axes = np.meshgrid(heights(prior), phases, NOISES, blurs, indexing="ij")
+    table = np.empty((axes[0].size, SIZE + 1))
+    table[:, 0], table[:, 2] = frequency, azimuth
+    for column, axis in zip((1, 3, 4, 5), axes, strict=True):
+        table[:, column] = axis.ravel()
+    scan_table(table, data)
+    return table
 
 
 def cooled_population(
-    found: Spectrum,
-    peaks: NDArray[np.int64],
-    data: SpeckleData,
+    table: FloatArray,
+    peak: FloatArray,
+    data: FoldData,
     prior: Prior,
+    compiled: PriorData,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Draw an approximate sample of the posterior to start and tune chains from.
 
     Parameters
     ----------
-    found : Spectrum
-    peaks : ndarray of int
-        Candidate peaks of the spectrum, best first; at least one. Their halves and doubles are
-        searched too, since shadow can feed a harmonic more than the fundamental.
-    data : SpeckleData
+    table : ndarray (n, SIZE + 1)
+        Of :func:`scan`.
+    peak : ndarray (SIZE,)
+        Of :func:`polished`.
+    data : FoldData
     prior : Prior
+    compiled : PriorData
+        The same, compiled.
     rng : Generator
 
     Returns
     -------
-    ndarray (n, 4)
-        Particles of equal weight.
+    ndarray (PARTICLES, SIZE)
+        Coordinates (see :func:`sasmap.ripples.kernel.log_target`) of equal weight.
     """
-    compiled = prior.compiled()
-    frequencies, half_step = _frequencies(found, peaks, prior)
-    heights = _heights(prior)
-    phases = 2 * np.pi * np.arange(PHASES) / PHASES
-    table = np.empty((frequencies.size * heights.size * PHASES, 5))
-    scan_grid(frequencies, heights, phases, NOISE, data, compiled, table)
-    table = table[np.isfinite(table[:, 4])]
-    cold = _next_power(table[:, 4], 0.0, min(FIRST_SHARE, 30.0 / len(table)))
-    weight = np.exp(cold * (table[:, 4] - table[:, 4].max()))
-    chosen = _resample(weight, PARTICLES, rng)
-    particles = _jittered(table[chosen, :4], half_step, heights, compiled, rng)
-    level = np.array([log_likelihood(p, data) for p in particles])
-    return _cool(particles, level, cold, data, compiled, rng)
+    peaks = [peak]
+    for start in _rivals(table, peak, data, compiled):
+        peaks.append(polished(start, data, compiled)[0])
+    centres = np.array([coordinates(p) for p in peaks])
+    levels = np.array([log_target(x, data, compiled, 1.0) for x in centres])
+    centres = centres[levels > levels.max() - RIVAL_MARGIN]
+    scale = _scales(data, prior, peak)
+    widths = np.array([half_widths(x, scale, data, compiled) for x in centres])
+    which = rng.integers(0, len(centres), PARTICLES)
+    offset = WIDEN * widths[which] * rng.normal(size=(PARTICLES, SIZE))
+    particles = centres[which] + offset
+    (f_low, f_high), (h_low, h_high) = prior.bounds
+    particles[:, 0] = np.clip(particles[:, 0], f_low, f_high)
+    particles[:, 1] = np.abs(particles[:, 1] - h_low) + h_low
+    particles[:, 4] = np.clip(particles[:, 4], *NOISE_BOUNDS)
+    highest = BLUR_BOUNDS[1] if data.field == 1 else STRAIGHT_BLUR
+    particles[:, 5] = np.clip(particles[:, 5], BLUR_BOUNDS[0], highest)
+    bad = ~np.isfinite([log_target(x, data, compiled, 0.0) for x in particles])
+    particles[bad] = centres[which[bad]]
+    return _cool(particles, data, compiled, rng)
+
+
+def _rivals(
+    table: FloatArray, peak: FloatArray, data: FoldData, compiled: PriorData
+) -> list[FloatArray]:
+    """Points of the scan that may lead to other peaks: the best at heights far from the peak's."""
+    far = np.abs(np.log(table[:, 1] / max(float(peak[1]), 1e-12))) > 0.5
+    order = np.argsort(-table[far, SIZE])[:RIVALS]
+    return [row[:SIZE] for row in table[far][order]]
+
+
+def _scales(data: FoldData, prior: Prior, peak: FloatArray) -> FloatArray:
+    """Return the largest half-widths of the first population along each coordinate."""
+    length = max(float(np.ptp(data.along)), 1.0 / peak[0])
+    (f_low, f_high), (h_low, h_high) = prior.bounds
+    spread = min(0.25 / length, f_high - f_low)
+    return np.array([spread, h_high - h_low, 0.5, np.pi, 1.0, 0.5])
 
 
 def _cool(
-    particles: FloatArray,
-    level: FloatArray,
-    power: float,
-    data: SpeckleData,
-    prior: PriorData,
-    rng: np.random.Generator,
+    particles: FloatArray, data: FoldData, prior: PriorData, rng: np.random.Generator
 ) -> FloatArray:
-    """Bring particles from a power of the likelihood to its full height; `level` is its log."""
-    scale = 1.0
+    """Bring particles to the full height of the likelihood by resampling and moves."""
+    power = 0.0
     for _ in range(MAX_STAGES):
-        factor = covariance_factor(particles, 1e-6)
-        accepted = move_population(particles, level, power, scale * factor, MOVES, data, prior, rng)
-        scale = float(np.clip(scale * np.exp(2 * (accepted - 0.3)), 1e-3, 2.0))
+        base = np.array([log_target(x, data, prior, 0.0) for x in particles])
+        gain = np.array([log_target(x, data, prior, 1.0) for x in particles]) - base
+        step = _next_power(gain, power, KEPT_SHARE)
+        chosen = _resample(np.exp((step - power) * (gain - gain.max())), len(particles), rng)
+        particles, power = particles[chosen].copy(), step
+        level = (base + power * gain)[chosen]
+        proposal = learn_proposal(particles)
+        move_population(particles, level, power, proposal, MOVES, data, prior, rng)
         if power >= 1.0:
             break
-        step = _next_power(level, power, KEPT_SHARE)
-        weight = np.exp((step - power) * (level - level.max()))
-        chosen = _resample(weight, len(particles), rng)
-        particles, level, power = particles[chosen], level[chosen], step
     return particles
 
 
-def _frequencies(
-    found: Spectrum, peaks: NDArray[np.int64], prior: Prior
-) -> tuple[FloatArray, float]:
-    """Return frequencies to scan, and half the step between them."""
-    low, high = prior.bounds[0]
-    step = float(found.frequency[1] - found.frequency[0])
-    spot = _bulk(prior, 0)
-    if spot is not None and spot[1] < 2 * step:  # the prior is as narrow as a spectral line
-        centres, step = [spot[0]], spot[1]
-    else:
-        centres = [found.frequency[i] * factor for i in peaks for factor in (1.0, 0.5, 2.0)]
-        centres += [spot[0]] if spot is not None else []
-        low = max(low, min(MIN_WAVES / (found.u[-1] - found.u[0]), high))
-    around = np.add.outer(centres, step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])).ravel()
-    return np.unique(np.clip(around, low, high)), step / 2
+def coordinates(theta: FloatArray) -> FloatArray:
+    """Turn parameters theta (..., SIZE) into the coordinates that are sampled."""
+    x = theta.copy()
+    x[..., 1] /= 1 + np.exp(x[..., 4])
+    return x
 
 
-def _heights(prior: Prior) -> FloatArray:
+def parameters(x: FloatArray) -> FloatArray:
+    """Turn sampled coordinates (..., SIZE) into parameters theta."""
+    theta = x.copy()
+    theta[..., 1] *= 1 + np.exp(theta[..., 4])
+    return theta
+
+
+def heights(prior: Prior) -> FloatArray:
+    """Return the values of A_H to scan: evenly over a narrow prior, else in proportion."""
     low, high = prior.bounds[1]
     spot = _bulk(prior, 1)
     if spot is not None and spot[1] < 0.1 * (high - low):
@@ -130,26 +193,6 @@ def _bulk(prior: Prior, i: int) -> tuple[float, float] | None:
         return None
     place = float(np.clip(mean, low, high))
     return place, min(sd, sd**2 / max(abs(mean - place), 1e-300))
-
-
-def _jittered(
-    grid: FloatArray,
-    half_step: float,
-    heights: FloatArray,
-    prior: PriorData,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Spread grid points over their cells of the scan."""
-    n = len(grid)
-    moved = grid.copy()
-    moved[:, 0] += half_step * rng.uniform(-1, 1, n)
-    place = np.searchsorted(heights, grid[:, 1]) + 0.5 * rng.uniform(-1, 1, n)
-    moved[:, 1] = np.interp(place, np.arange(heights.size), heights)
-    moved[:, 2] += np.pi / PHASES * rng.uniform(-1, 1, n)
-    moved[:, 3] += rng.normal(0, 1, n)
-    moved[:, :2] = np.clip(moved[:, :2], prior.lower, prior.upper)
-    moved[:, 3] = np.clip(moved[:, 3], *NOISE_BOUNDS)
-    return np.asarray(moved)
 
 
 def _next_power(level: FloatArray, power: float, share: float) -> float:
@@ -174,3 +217,30 @@ def _resample(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[n
     edges = np.cumsum(weight) / weight.sum()
     edges[-1] = 1.0
     return np.searchsorted(edges, (np.arange(n) + rng.random()) / n)
+
+
+def polished(
+    start: FloatArray, data: FoldData, compiled: PriorData, rounds: int = 40
+) -> tuple[FloatArray, float]:
+    """Climb from a point of the scan to the peak of the log posterior near it.
+
+    Parameters
+    ----------
+    start : ndarray (SIZE,)
+    data : FoldData
+    compiled : PriorData
+    rounds : int
+
+    Returns
+    -------
+    theta : ndarray (SIZE,)
+    level : float
+        Log posterior.
+    """
+    theta = start.copy()
+    length = max(float(np.ptp(data.along)), 1 / theta[0])
+    across = min(WAVE_SPREAD / length, 1 / np.sqrt(data.wave_precision[1]))
+    step = np.array(
+        [WAVE_SPREAD / length, 0.15 * theta[1], across / theta[0], np.pi / PHASES, 0.7, 0.3]
+    )
+    return theta, float(climb(theta, step, data, compiled, rounds))

@@ -1,0 +1,195 @@
+"""A clip on a regular lattice: its intensity, and where each pixel lies from the clip's centre."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.clip import Clip, mean_look, normalised
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Pixels off a straight lattice by more than this (in pixels) are summed onto one.
+MAX_BEND = 0.3
+# More than this share of pixels at the largest value: the receiver or the file saturated.
+MIN_SATURATED = 1e-4
+LATTICE_SAMPLES = 4000
+
+
+@dataclass(frozen=True)
+class Image:
+    """A clip's intensity on a regular lattice.
+
+    Attributes
+    ----------
+    power : ndarray (rows, columns)
+        Intensity over the clip's mean; 0 where not valid.
+    valid : ndarray of bool (rows, columns)
+    saturated : ndarray of bool (rows, columns)
+        Pixels at the largest value the file can hold: their intensity is at least `power`.
+    ground_range, altitude : ndarray (rows, columns)
+        m; NaN where unknown.
+    steps : ndarray (2, 2)
+        Map displacement (east, north), m, of one column (first column of the matrix) and of one
+        row (second).
+    azimuth : float
+        Mean look, degrees clockwise from grid north.
+    rms : float
+        Root of what `power` was divided by, in units of the amplitude.
+    """
+
+    power: FloatArray
+    valid: BoolArray
+    saturated: BoolArray
+    ground_range: FloatArray
+    altitude: FloatArray
+    steps: FloatArray
+    azimuth: float
+    rms: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.power.shape[0], self.power.shape[1]
+
+    @property
+    def look(self) -> FloatArray:
+        """Unit vector (east, north) of the mean look."""
+        turn = np.radians(self.azimuth)
+        return np.array([np.sin(turn), np.cos(turn)])
+
+    @property
+    def pixel_size(self) -> float:
+        """Root of a pixel's area, m."""
+        return float(np.sqrt(abs(np.linalg.det(self.steps))))
+
+    @cached_property
+    def rows_and_columns(self) -> tuple[FloatArray, FloatArray]:
+        """Row (rows, 1) and column (1, columns) numbers from the clip's centre."""
+        rows, columns = self.shape
+        return (
+            (np.arange(rows) - (rows - 1) / 2)[:, None],
+            (np.arange(columns) - (columns - 1) / 2)[None, :],
+        )
+
+    def project(self, direction: FloatArray) -> FloatArray:
+        """Distance (m) of pixels from the clip's centre along a unit vector (east, north)."""
+        row, column = self.rows_and_columns
+        per_column, per_row = direction @ self.steps
+        return np.asarray(per_column * column + per_row * row)
+
+    def per_pixel(self, wave: FloatArray) -> FloatArray:
+        """Cycles a column and a row of a wave vector (east, north) in cycles/m."""
+        return np.asarray(wave @ self.steps)
+
+    def per_metre(self, wave: FloatArray) -> FloatArray:
+        """Wave vector (east, north), cycles/m, of cycles a column and a row."""
+        return np.asarray(np.linalg.solve(self.steps.T, wave))
+
+
+def as_image(clip: Clip) -> Image:
+    """Lay a clip on a regular lattice: its own where that is straight, else a north-up one.
+
+    Parameters
+    ----------
+    clip : Clip
+        With at least one valid pixel.
+
+    Returns
+    -------
+    Image
+        Slant-range tiles show uneven steps of sea floor: their pixels are summed onto a lattice of
+        the clip's pixel size (the mean of those that share a place).
+    """
+    valid = clip.valid
+    power, mean = normalised(clip, valid)
+    wide = np.zeros(valid.shape)
+    wide[valid] = power
+    saturated = _saturated(clip.amplitude, valid)
+    azimuth = mean_look(clip)
+    steps, first = lattice(clip)
+    straight = _bend(clip, valid, steps, first) <= MAX_BEND * clip.pixel_size
+    if straight and abs(np.linalg.det(steps)) > 0:
+        return Image(
+            wide, valid, saturated, clip.ground_range, clip.altitude, steps, azimuth, mean
+        )
+    return _summed(clip, wide, valid, saturated, azimuth, mean)
+
+
+def _saturated(amplitude: FloatArray, valid: BoolArray) -> BoolArray:
+    top = valid & (amplitude >= amplitude[valid].max())
+    many = top.sum() > max(MIN_SATURATED * valid.sum(), 3)
+    return top if many else np.zeros_like(valid)
+
+
+def lattice(clip: Clip) -> tuple[FloatArray, FloatArray]:
+    """Straight lattice nearest to a clip's pixels.
+
+    Parameters
+    ----------
+    clip : Clip
+
+    Returns
+    -------
+    steps : ndarray (2, 2)
+        Map displacement (east, north), m, of a column (first column) and of a row (second).
+    first : ndarray (2,)
+        Map position of row 0, column 0.
+    """
+    known = np.isfinite(clip.x) & np.isfinite(clip.y)
+    row, column = np.nonzero(known)
+    some = slice(None, None, max(row.size // LATTICE_SAMPLES, 1))
+    row, column = row[some], column[some]
+    places = np.column_stack([clip.x[row, column], clip.y[row, column]])
+    origin = places.mean(axis=0)
+    design = np.column_stack([column, row, np.ones(row.size)]).astype(float)
+    fit = np.linalg.lstsq(design, places - origin, rcond=None)[0]
+    return np.asarray(fit[:2].T), np.asarray(fit[2] + origin)
+
+
+def _bend(clip: Clip, valid: BoolArray, steps: FloatArray, first: FloatArray) -> float:
+    """Largest distance (east or north) of valid pixels from a straight lattice, m."""
+    row, column = np.arange(valid.shape[0])[:, None], np.arange(valid.shape[1])
+    worst = 0.0
+    for i, places in enumerate((clip.x, clip.y)):
+        offset = np.abs(places - (first[i] + steps[i, 0] * column + steps[i, 1] * row))
+        worst = max(worst, float(offset[valid].max()))
+    return worst
+
+
+def _summed(
+    clip: Clip,
+    power: FloatArray,
+    valid: BoolArray,
+    saturated: BoolArray,
+    azimuth: float,
+    mean: float,
+) -> Image:
+    """Average pixels onto a north-up lattice."""
+    size = clip.pixel_size
+    x, y = clip.x[valid], clip.y[valid]
+    column = np.rint((x - x.min()) / size).astype(np.int64)
+    row = np.rint((y.max() - y) / size).astype(np.int64)
+    shape = (int(row.max()) + 1, int(column.max()) + 1)
+    index = row * shape[1] + column
+    count = np.bincount(index, minlength=shape[0] * shape[1])
+
+    def average(values: FloatArray) -> FloatArray:
+        total = np.bincount(index, values[valid], shape[0] * shape[1])
+        return (total / np.maximum(count, 1)).reshape(shape)
+
+    filled = (count > 0).reshape(shape)
+    return Image(
+        average(power),
+        filled,
+        average(saturated.astype(float)) > 0,
+        np.where(filled, average(clip.ground_range), np.nan),
+        np.where(filled, average(clip.altitude), np.nan),
+        np.array([[size, 0.0], [0.0, -size]]),
+        azimuth,
+        mean,
+    )

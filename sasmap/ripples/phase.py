@@ -1,0 +1,544 @@
+"""Ripple phase as a field: straight where that suffices, else as stiff as the clip decides.
+
+The image over its local mean is demodulated at the strongest wave and summed over boxes a sixth of
+a wavelength wide; smoothing those gives the phase of the image's fundamental at every place, forks
+and all (SCIENCE 3 "Real ripples bend, merge and split"). Odd and even squares of boxes are smoothed
+apart and each pixel is folded by the phase that the others tell, so that speckle is not taken for
+phase; the smoothing is the one that predicts the others best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import fft2, ifft2, next_fast_len
+from scipy.ndimage import binary_closing
+
+from sasmap.ripples.image import Image
+from sasmap.ripples.pixels import box_sums
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+
+# Boxes a wavelength, and the most boxes a side.
+BOXES = 6
+MAX_BOXES = 160
+# Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
+STIFFNESS = (0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
+TREND_SD = 1.5
+# A field that predicts this much of what it would if crests were straight adds nothing.
+STRAIGHT = 0.985
+# Local amplitude, over that of the clip's rippled part, of places without ripples.
+BARE = 0.35
+# Rippled fraction of a clip above which all of it counts as rippled.
+FULL = 0.9
+MAX_ROUNDS = 8
+# What straight crests stray, rad, and how well its log is known.
+BLUR, BLUR_SD = 0.02, 1.0
+# Share of the phase's wander that its mean slope may be wrong by, and turns over the clip that a
+# fork leaves open (root of their number).
+WANDER_SHARE, FORK_TURN = 0.15, 0.06
+
+
+class Boxes(NamedTuple):
+    """A clip demodulated at a wave; arrays (box rows, box columns).
+
+    Attributes
+    ----------
+    wave : ndarray (2,)
+        Wave vector (east, north), cycles/m.
+    size : int
+        Pixels a side of a box.
+    turned : ndarray of complex
+        Sums of (intensity over trend, less 1) * exp(-i phase of the wave).
+    count : ndarray
+        Valid pixels.
+    trend : ndarray
+        Local mean intensity.
+    wavelength : float
+        In boxes.
+    variance : float
+        Of intensity over trend.
+    """
+
+    wave: FloatArray
+    size: int
+    turned: ComplexArray
+    count: FloatArray
+    trend: FloatArray
+    wavelength: float
+    variance: float
+
+
+@dataclass(frozen=True)
+class PhaseField:
+    """Phase of a clip's ripples.
+
+    Attributes
+    ----------
+    wave : ndarray (2,)
+        Wave vector (east, north) that the field is relative to, cycles/m.
+    rigid : bool
+        Whether crests are straight: there is no field.
+    box, tiles : int
+        Pixels a side of a box, and boxes a side of the squares of which odd and even alternate.
+    even, odd, both : ndarray of complex (box rows, box columns)
+        Unit phasors of the field from even boxes, odd ones, and all.
+    covered : ndarray of bool (box rows, box columns)
+        Boxes with ripples.
+    mean_wave, wave_sd : ndarray (2,)
+        Mean wave vector of the field along and across the look, cycles/m, and its standard
+        deviation; where crests are straight, the first is left to the fold.
+    blur, blur_sd : float
+        Error of the field, rad, and how well its log is known.
+    coherence_length : float
+        Distance over which the phase, less its mean slope, keeps a correlation of 1/e, m; the
+        clip's largest where it keeps it throughout.
+    rippled_fraction : float
+        Of the clip's valid area.
+    stiffness : float
+        Standard deviation of the Gaussian that smooths the field, m; infinite where rigid.
+    variation : float
+        Of the local frequency along the look, over the mean (rms).
+    """
+
+    wave: FloatArray
+    rigid: bool
+    box: int
+    tiles: int
+    even: ComplexArray
+    odd: ComplexArray
+    both: ComplexArray
+    covered: BoolArray
+    mean_wave: FloatArray
+    wave_sd: FloatArray
+    blur: float
+    blur_sd: float
+    coherence_length: float
+    rippled_fraction: float
+    stiffness: float
+    variation: float
+
+    def spread_cover(self) -> BoolArray:
+        """Rippled boxes and the holes among them."""
+        return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])
+
+    def pixels(self, boxes: NDArray[np.generic], shape: tuple[int, int]) -> NDArray[np.generic]:
+        """Spread an array over boxes to the image's pixels."""
+        if boxes.dtype == bool and boxes.all():
+            return np.ones(shape, bool)
+        wide = np.repeat(np.repeat(boxes, self.box, axis=0), self.box, axis=1)
+        return wide[: shape[0], : shape[1]]
+
+
+def demodulate(image: Image, wave: FloatArray) -> Boxes:
+    """Demodulate a clip at a wave and sum it over boxes.
+
+    Trend and fundamental are fitted together, locally: at the clip's edges and holes the mean of a
+    part of a wave is not the trend.
+
+    Parameters
+    ----------
+    image : Image
+    wave : ndarray (2,)
+        Wave vector (east, north), cycles/m.
+
+    Returns
+    -------
+    Boxes
+    """
+    per_column, per_row = (float(v) for v in image.per_pixel(wave))
+    pixels = 1 / np.hypot(per_column, per_row)
+    size = int(max(pixels / BOXES, np.ceil(max(image.shape) / MAX_BOXES), 1))
+    one = image.valid.astype(float)
+    sums = [box_sums(v, image.valid, 0.0, 0.0, size)[0].real for v in (image.power, one)]
+    turned = [
+        box_sums(v, image.valid, per_column, per_row, size)[0] for v in (image.power, one)
+    ]
+    twice = box_sums(one, image.valid, 2 * per_column, 2 * per_row, size)[0]
+    wavelength = pixels / size
+    smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
+    trend = _local_trend(
+        smooth(sums[0]).real, smooth(sums[1]).real, smooth(turned[0]), smooth(turned[1]),
+        smooth(twice),
+    )
+    flat = turned[0] / trend - turned[1]
+    square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
+    variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
+    return Boxes(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6))
+
+
+class _Smoother:
+    """Gaussian smoothing of arrays of a shape, zero outside."""
+
+    def __init__(self, shape: tuple[int, int], sd: float) -> None:
+        self._shape = shape
+        pad = int(4 * min(sd, max(shape)))
+        full = [next_fast_len(n + pad) for n in shape]
+        frequency = [np.fft.fftfreq(n)[:, None] if i == 0 else np.fft.fftfreq(n)
+                     for i, n in enumerate(full)]
+        self._full = (full[0], full[1])
+        self._window = np.exp(-2 * (np.pi * sd) ** 2 * (frequency[0] ** 2 + frequency[1] ** 2))
+
+    def __call__(self, values: NDArray[np.generic]) -> ComplexArray:
+        wide = ifft2(fft2(values, self._full) * self._window)
+        return np.asarray(wide[: self._shape[0], : self._shape[1]])
+
+
+def _local_trend(
+    power: FloatArray,
+    count: FloatArray,
+    power1: ComplexArray,
+    count1: ComplexArray,
+    count2: ComplexArray,
+) -> FloatArray:
+    """Mean of T (1 + z e^(i phase) + its conjugate) that explains smoothed sums of the image."""
+    count = np.maximum(count, 1e-6 * count.max())
+    # unknowns T, p = Re(T z), q = Im(T z); z e^(i phase) + conjugate = 2 p cos - 2 q sin
+    c1, s1 = count1.real, -count1.imag
+    c2, s2 = count2.real, -count2.imag
+    matrix = np.empty((*count.shape, 3, 3))
+    matrix[..., 0, 0] = count
+    matrix[..., 0, 1] = matrix[..., 1, 0] = c1
+    matrix[..., 0, 2] = matrix[..., 2, 0] = -s1
+    matrix[..., 1, 1] = 0.5 * (count + c2)
+    matrix[..., 1, 2] = matrix[..., 2, 1] = -0.5 * s2
+    matrix[..., 2, 2] = 0.5 * (count - c2)
+    matrix[..., 1, 1] += 1e-3 * count
+    matrix[..., 2, 2] += 1e-3 * count
+    right = np.stack([power, power1.real, power1.imag], axis=-1)
+    level = np.linalg.solve(matrix, right[..., None])[..., 0, 0]
+    plain = power / count
+    return np.asarray(np.maximum(np.clip(level, 0.5 * plain, 2 * plain), 1e-9))
+
+
+def _places(image: Image, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
+    """Places of box centres along and across the look from the clip's centre, m."""
+    rows, columns = image.shape
+    down = (np.arange(boxes.count.shape[0]) + 0.5) * boxes.size - 0.5 - (rows - 1) / 2
+    right = (np.arange(boxes.count.shape[1]) + 0.5) * boxes.size - 0.5 - (columns - 1) / 2
+    look = image.look
+    result = []
+    for direction in (look, np.array([look[1], -look[0]])):
+        per_column, per_row = direction @ image.steps
+        result.append(per_column * right[None, :] + per_row * down[:, None])
+    return result[0], result[1]
+
+
+def refined_wave(image: Image, boxes: Boxes, weight: BoolArray) -> FloatArray:
+    """Wave vector (east, north), cycles/m, at which the demodulated clip is most coherent."""
+    along, across = _places(image, boxes)
+    place = np.stack([along[weight], across[weight]])
+    values = boxes.turned[weight]
+    spread = place.std(axis=1) + 1e-9
+    turn = np.zeros(2)  # rad/m
+    for _ in range(MAX_ROUNDS):
+        now = values * np.exp(-1j * (turn @ place))
+        total = now.sum()
+        if total == 0:
+            break
+        now = now * np.conj(total) / abs(total)
+        centre = (place * now.real).sum(axis=1) / now.real.sum()
+        offset = place - centre[:, None]
+        gradient = (offset * now.imag).sum(axis=1)
+        curvature = (offset * now.real) @ offset.T
+        bound = np.diag(1e-2 * abs(total) * spread**2)
+        step = np.linalg.solve(curvature + bound, gradient)
+        step = np.clip(step, -1 / spread, 1 / spread)
+        turn = turn + step
+        if (np.abs(step) * spread).max() < 1e-5:
+            break
+    look = image.look
+    return np.asarray(
+        boxes.wave + (turn[0] * look + turn[1] * np.array([look[1], -look[0]])) / (2 * np.pi)
+    )
+
+
+def covered_boxes(image: Image, boxes: Boxes) -> tuple[BoolArray, float]:
+    """Boxes where ripples are, and the fraction of the valid area that they make up.
+
+    Contrast grows as the sound grazes lower, so amplitude is compared over the angle from
+    the vertical; where speckle hides what one place shows, all count as rippled.
+    """
+    filled = boxes.count > 0
+    size = boxes.size
+    reach, altitude = (
+        box_sums(np.nan_to_num(v), image.valid, 0.0, 0.0, size)[0].real
+        for v in (image.ground_range, image.altitude)
+    )
+    tilt = np.arctan2(reach, np.maximum(altitude, 1e-9))
+    everywhere = filled, 1.0
+    for sd in (0.8, 1.3, 2.0):
+        smooth = _Smoother(filled.shape, sd * boxes.wavelength)
+        count = np.maximum(smooth(boxes.count).real, 1e-3 * boxes.count.max())
+        noise = boxes.variance / (4 * np.pi * (sd * boxes.wavelength * size) ** 2)
+        noise = noise * boxes.count.max() / count
+        local = np.maximum(np.abs(smooth(boxes.turned) / count) ** 2 - noise, 0)
+        level = np.sqrt(local) / np.maximum(tilt, 0.05)
+        high = float(np.quantile(level[filled], 0.85))
+        error = float(np.median((np.sqrt(noise) / np.maximum(tilt, 0.05))[filled]))
+        if error > 0.2 * high:
+            continue
+        rippled = filled & (level > BARE * high)
+        fraction = float(boxes.count[rippled].sum() / boxes.count.sum())
+        if fraction > FULL:
+            return filled, max(fraction, FULL) if fraction < 0.97 else 1.0
+        return rippled, fraction
+    return everywhere
+
+
+def straight(image: Image, wave: FloatArray, boxes: Boxes) -> PhaseField:
+    """Return the phase of straight crests: a plane wave and no field.
+
+    Parameters
+    ----------
+    image : Image
+    wave : ndarray (2,)
+        Its wave vector (east, north), cycles/m.
+    boxes : Boxes
+
+    Returns
+    -------
+    PhaseField
+    """
+    covered, fraction = covered_boxes(image, boxes)
+    one = np.ones(boxes.count.shape, complex)
+    look = image.look
+    mean = np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
+    along, across = _places(image, boxes)
+    extent = float(np.hypot(np.ptp(along), np.ptp(across)))
+    rough = 0.05 / max(float(np.ptp(across)), image.pixel_size)
+    return PhaseField(
+        wave, True, boxes.size, 1, one, one, one, covered, mean, np.array([np.inf, rough]), BLUR, BLUR_SD,
+        extent, fraction, float("inf"), 0.0,
+    )
+
+
+class Bend(NamedTuple):
+    """How well phase fields predict boxes that they did not see.
+
+    Attributes
+    ----------
+    scores : ndarray
+        Predicted amplitude for each of STIFFNESS, over that of a plane wave.
+    even, odd, both : list of ndarray of complex
+        The fields, smoothed.
+    tiles : int
+    """
+
+    scores: FloatArray
+    even: list[ComplexArray]
+    odd: list[ComplexArray]
+    both: list[ComplexArray]
+    tiles: int
+
+
+def bend(boxes: Boxes) -> Bend:
+    """Smooth the phase at several stiffnesses and score each on boxes that it did not see.
+
+    Parameters
+    ----------
+    boxes : Boxes
+        Demodulated at a refined wave.
+
+    Returns
+    -------
+    Bend
+    """
+    tiles = max(int(round(boxes.wavelength / 3)), 1)
+    row, column = np.indices(boxes.count.shape) // tiles
+    even = (row + column) % 2 == 0
+    whole = abs(boxes.turned.sum())
+    scores, fields = [], []
+    for stiffness in STIFFNESS:
+        smooth = _Smoother(boxes.count.shape, max(stiffness * boxes.wavelength, 0.8))
+        first = smooth(np.where(even, boxes.turned, 0))
+        second = smooth(np.where(even, 0, boxes.turned))
+        fields.append((first, second))
+        unseen = np.where(even, _unit(second), _unit(first))
+        scores.append(float((boxes.turned * np.conj(unseen)).sum().real) / max(whole, 1e-300))
+    return Bend(
+        np.array(scores),
+        [f for f, _ in fields],
+        [s for _, s in fields],
+        [f + s for f, s in fields],
+        tiles,
+    )
+
+
+def _unit(values: ComplexArray) -> ComplexArray:
+    size = np.abs(values)
+    return np.asarray(np.where(size > 0, values / np.where(size > 0, size, 1), 1.0))
+
+
+def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
+    """Return the phase field that predicts the clip best.
+
+    Parameters
+    ----------
+    image : Image
+    boxes : Boxes
+    found : Bend
+
+    Returns
+    -------
+    PhaseField
+    """
+    best = int(np.argmax(found.scores))
+    even, odd, both = (f[best] for f in (found.even, found.odd, found.both))
+    covered, fraction = covered_boxes(image, boxes)
+    weight = np.where(covered, boxes.count, 0.0)
+    product = even * np.conj(odd)
+    agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
+    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.03, 1.2))
+    mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear)
+    variation = _variation(image, boxes, _unit(both), weight, mean)
+    field = _unit(both)
+    return PhaseField(
+        boxes.wave,
+        False,
+        boxes.size,
+        found.tiles,
+        _unit(even),
+        _unit(odd),
+        field,
+        covered,
+        mean,
+        sd,
+        smear,
+        0.5,
+        _coherence_length(image, boxes, field, weight, mean),
+        fraction,
+        float(STIFFNESS[best] * boxes.wavelength * boxes.size * image.pixel_size),
+        variation,
+    )
+
+
+def _mean_wave(
+    image: Image, boxes: Boxes, field: ComplexArray, weight: FloatArray, smear: float
+) -> tuple[FloatArray, FloatArray]:
+    """Slope of the plane that fits the phase best, along and across the look, cycles/m.
+
+    The least-squares slope over an interval is the mean of the local slope weighted by a parabola,
+    which needs no unwrapping.
+    """
+    slopes, spreads = [], []
+    for axis in (1, 0):
+        ahead = np.moveaxis(field, axis, 0)
+        heavy = np.moveaxis(weight, axis, 0)
+        turn = np.angle(ahead[1:] * np.conj(ahead[:-1]))
+        both = np.sqrt(heavy[1:] * heavy[:-1])
+        used = np.flatnonzero(heavy.sum(axis=1) > 0)
+        low, high = used[0], used[-1]
+        place = (np.arange(turn.shape[0]) + 0.5 - low) / max(high - low, 1)
+        parabola = np.maximum(place * (1 - place), 0)[:, None] * both
+        total = max(float(parabola.sum()), 1e-300)
+        slope = float((parabola * turn).sum()) / total
+        slopes.append(slope / (2 * np.pi * boxes.size))
+        # what remains of the wander, averaged over what the clip holds of it, is not known
+        rest = (turn - slope) * (parabola > 0)
+        wander = np.cumsum((rest * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1e-9))
+        spreads.append(float(wander.std() + smear) / max(high - low, 1))
+    per_pixel = image.per_pixel(boxes.wave) + np.array(slopes)
+    wave = image.per_metre(per_pixel)
+    look = image.look
+    mean = np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
+    length = boxes.size * image.pixel_size
+    sd = WANDER_SHARE * float(np.hypot(*spreads)) / (2 * np.pi * length)
+    forks = FORK_TURN * np.sqrt(_forks(field, weight)) / (max(weight.shape) * length)
+    return mean, np.full(2, np.hypot(sd, forks))
+
+
+def _forks(field: ComplexArray, weight: FloatArray) -> int:
+    """Places that the phase winds around: where crests split or end."""
+    corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
+    turns = [np.angle(b * np.conj(a)) for a, b in zip(corners, corners[1:] + corners[:1])]
+    wound = np.abs(np.sum(turns, axis=0)) > np.pi
+    inside = (weight[:-1, :-1] > 0) & (weight[1:, 1:] > 0)
+    return int((wound & inside).sum())
+
+
+def _variation(
+    image: Image, boxes: Boxes, field: ComplexArray, weight: FloatArray, mean: FloatArray
+) -> float:
+    """Rms of the local frequency along the look about its mean, over that."""
+    look = image.look
+    steps = image.per_pixel(look)  # m along the look a column and a row
+    slopes = []
+    for axis, step in ((1, steps[0]), (0, steps[1])):
+        turn = np.angle(np.roll(field, -1, axis) * np.conj(field)) / (2 * np.pi * boxes.size)
+        slopes.append(turn * step / image.pixel_size**2)
+    base = boxes.wave @ look
+    local = base + slopes[0] + slopes[1]
+    used = (weight > 0)[:-1, :-1]
+    spread = np.median(np.abs(local[:-1, :-1][used] - mean[0])) * 1.48
+    return float(spread / max(abs(float(mean[0])), 1e-9))
+
+
+def _coherence_length(
+    image: Image, boxes: Boxes, field: ComplexArray, weight: FloatArray, mean: FloatArray
+) -> float:
+    """Lag at which the correlation of exp(i field), less its mean slope, falls to 1/e, m."""
+    look = image.look
+    vector = mean[0] * look + mean[1] * np.array([look[1], -look[0]]) - boxes.wave
+    per_column, per_row = image.per_pixel(vector) * boxes.size
+    row, column = np.indices(weight.shape)
+    level = field * np.exp(-2j * np.pi * (per_column * column + per_row * row)) * (weight > 0)
+    shape = [next_fast_len(2 * n) for n in weight.shape]
+
+    def correlate(values: NDArray[np.generic]) -> ComplexArray:
+        return np.asarray(ifft2(np.abs(fft2(values, shape)) ** 2))
+
+    product, pairs = correlate(level), correlate(weight > 0).real
+    lag = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1 / n) for n in shape), indexing="ij"))
+    ring = np.rint(lag).astype(np.int64).ravel()
+    known = np.bincount(ring, pairs.ravel())
+    together = np.bincount(ring, product.real.ravel())
+    enough = np.flatnonzero(known > 0.02 * known.max())
+    reach = np.arange(enough.max() + 1)
+    ratio = together[reach] / np.maximum(known[reach], 1e-9)
+    below = np.flatnonzero(ratio < np.exp(-1))
+    first = int(below[0]) if below.size else int(reach[-1])
+    return float(first * boxes.size * image.pixel_size)
+
+
+def local_mean(
+    image: Image, phase: PhaseField, ratio: FloatArray
+) -> tuple[FloatArray, float, float]:
+    """Smooth the ratio of image and model over boxes: what trend is left.
+
+    Parameters
+    ----------
+    image : Image
+    phase : PhaseField
+    ratio : ndarray (rows, columns)
+        0 where there is none.
+
+    Returns
+    -------
+    trend : ndarray (box rows, box columns)
+        Mean 1.
+    rms : float
+        Its variation.
+    noise : float
+        What speckle alone would make of that.
+    """
+    used = ratio > 0
+    total = box_sums(np.minimum(ratio, 20.0), used, 0.0, 0.0, phase.box)[0].real
+    count = box_sums(used.astype(float), used, 0.0, 0.0, phase.box)[0].real
+    wavelength = 1 / (np.hypot(*image.per_pixel(phase.wave)) * phase.box)
+    sd = TREND_SD * float(wavelength)
+    smooth = _Smoother(total.shape, sd)
+    weight = smooth(count).real
+    level = smooth(total).real / np.maximum(weight, 1e-3 * weight.max())
+    filled = count > 0
+    mean = float(np.average(level[filled], weights=count[filled]))
+    level = np.where(weight > 1e-3 * weight.max(), level / mean, 1.0)
+    spread = (level[filled] - 1) ** 2
+    rms = float(np.sqrt(np.average(spread, weights=count[filled])))
+    pixels = 4 * np.pi * (sd * phase.box) ** 2
+    return np.maximum(level, 0.05), rms, float(np.sqrt(1 / pixels))

@@ -1,0 +1,102 @@
+"""One clip of a simulated scene with its truth, without files: for studies and tests."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from sasmap.ripples.clip import Clip
+from sasmap.simulate.image import record, track_line
+from sasmap.simulate.scene import Scene
+from sasmap.simulate.seafloor import SeaFloor
+
+FloatArray = NDArray[np.float64]
+
+
+class SimulatedClip(NamedTuple):
+    """A clip and what is true of it.
+
+    Attributes
+    ----------
+    clip : Clip
+    wave : ndarray (2,)
+        Mean wave vector (east, north), cycles/m: of the plane fitted to the clip's own phase by
+        least squares; NaN without ripples.
+    height : float
+        Median A_H where there are ripples, m.
+    rippled_fraction : float
+    """
+
+    clip: Clip
+    wave: FloatArray
+    height: float
+    rippled_fraction: float
+
+    @property
+    def frequency(self) -> float:
+        """Of the mean wave vector, cycles/m."""
+        return float(np.hypot(*self.wave))
+
+    @property
+    def azimuth(self) -> float:
+        """Of the mean wave vector, degrees clockwise from grid north, 0 to 180."""
+        return float(np.degrees(np.arctan2(*self.wave)) % 180)
+
+
+def simulate_clip(scene: Scene, rng: np.random.Generator, which: int = 0) -> SimulatedClip:
+    """Record a whole scene as one clip.
+
+    Parameters
+    ----------
+    scene : Scene
+        As small as a clip.
+    rng : Generator
+        Of speckle and noise; the sea floor is the scene's own, by its seed.
+    which : int
+        Index of the pass.
+
+    Returns
+    -------
+    SimulatedClip
+    """
+    scene_pass = scene.passes[which]
+    size = scene_pass.pixel_size or scene.pixel_size
+    shape = (int(round(scene.size[1] / size)), int(round(scene.size[0] / size)))
+    left, top = scene.origin[0], scene.origin[1] + scene.size[1]
+    transform = Affine(size, 0, left, 0, -size, top)
+    floor = SeaFloor(scene)
+    plain = scene_pass.model_copy(update={"range": "ground"})
+    pixels = record(scene, floor, plain, transform, shape, rng).astype(float)
+    if plain.dtype != "float32":
+        pixels[pixels == 0] = np.nan
+    x, y = np.meshgrid(
+        left + size * (np.arange(shape[1]) + 0.5), top - size * (np.arange(shape[0]) + 0.5)
+    )
+    line = track_line(scene, plain)
+    view = line.see(x, y)
+    look = np.degrees(np.arctan2(line.look[0], line.look[1])) % 360
+    ground_range = np.where(view.ground_range > 0, view.ground_range, np.nan)
+    clip = Clip(pixels, x, y, ground_range, view.altitude, np.full(shape, look), size)
+    return SimulatedClip(clip, *_truth(scene, floor, x, y))
+
+
+def _truth(
+    scene: Scene, floor: SeaFloor, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, float, float]:
+    waves = floor.waves(x, y)
+    rippled = waves.height > 0
+    if not rippled.any():
+        return np.full(2, np.nan), float("nan"), 0.0
+    patch = scene.ripples[int(np.bincount(waves.patch[rippled]).argmax())]
+    turn = np.radians(patch.azimuth)
+    base = patch.frequency * np.array([np.sin(turn), np.cos(turn)])
+    centre = scene.centre
+    plain = 2 * np.pi * (base[0] * (x - centre[0]) + base[1] * (y - centre[1]))
+    rest = (waves.phase - plain - patch.phase)[rippled]
+    design = np.column_stack([x[rippled] - centre[0], y[rippled] - centre[1], np.ones(rest.size)])
+    fit = np.linalg.lstsq(design, rest, rcond=None)[0]
+    wave = base + fit[:2] / (2 * np.pi)
+    return wave, float(np.median(waves.height[rippled])), float(rippled.mean())
