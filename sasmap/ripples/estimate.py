@@ -76,9 +76,10 @@ def estimate(
 
     Notes
     -----
-    Crests are taken as straight and looked at square-on. The default method samples the speckle
-    likelihood of :mod:`sasmap.ripples.kernel`; "zare-cobb" is the published sampler (Zare and Cobb
-    2013).
+    The default method finds the ripple's wave in the clip's spectrum, follows its phase where
+    crests bend, folds the pixels by that phase and samples the speckle likelihood of
+    :mod:`sasmap.ripples.kernel`; "zare-cobb" is the published sampler (Zare and Cobb 2013), which
+    takes crests as straight and looked at square-on.
     """
     settings = settings or RippleSettings()
     rng = np.random.default_rng(rng)
@@ -103,6 +104,8 @@ def _default(
     if found is None:
         return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
     waves = find_waves(image, found, settings.frequency)
+    if waves is None:
+        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
     chosen, probability = _candidates(image, waves, settings)
     if not chosen:
         quality = _why_not(image, found, waves, settings)
@@ -160,19 +163,15 @@ def _harmonic(wave: Wave, first: Wave) -> bool:
     return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
 
 
-def _why_not(
-    image: Image, found: Spectrum, waves: list[Wave], settings: RippleSettings
-) -> Quality:
+def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleSettings) -> Quality:
     """Quality of a clip without a wave that could be estimated."""
     hidden = [w for w in waves if w.probability > 0.99 and w.power > STRIKING]
-    if not waves or hidden or too_long(image, found, settings.frequency):
+    if hidden or too_long(image, found, settings.frequency):
         return Quality.NOT_IDENTIFIABLE
     return Quality.NO_RIPPLES
 
 
-def _sampled(
-    fit: Fit, task: Task, rng: np.random.Generator
-) -> tuple[np.ndarray, float, bool]:
+def _sampled(fit: Fit, task: Task, rng: np.random.Generator) -> tuple[np.ndarray, float, bool]:
     """Draws (chain, draw, parameter), accepted fraction, and whether they converged."""
     settings, data, compiled = task.settings, fit.data, task.compiled
     population = cooled_population(fit.table, fit.theta, data, task.prior, compiled, rng)
@@ -226,12 +225,12 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     height = 2 * np.pi * frequency * slip / EDGE_TURN if shadowed else 0.0
     height = np.hypot(height, BENT_SHARE * fit.phase.variation)
     turn = slip / length
-    # what a prior holds narrower than that, it holds: a pixel's worth of doubt is the image's
-    spread = [
-        min(frequency * turn, prior.sd[0]),
-        min(float(height), prior.sd[1] / max(float(draws[..., 1].mean()), 1e-12)),
-        min(turn, np.radians(prior.azimuth[1])),
-    ]
+    # a prior holds what it knows better: doubt about the image adds nothing to that
+    height *= float(draws[..., 1].mean())
+    known = np.array([*prior.sd, np.radians(prior.azimuth[1])])
+    left = np.sqrt(np.maximum(known**2 - draws[..., :3].var(axis=(0, 1)), 0))
+    spread = np.minimum([frequency * turn, height, turn], left)
+    spread[1] /= max(float(draws[..., 1].mean()), 1e-12)
     result = draws.copy()
     normal = rng.normal(size=(3, *draws.shape[:2]))
     result[..., 0] += spread[0] * normal[0]

@@ -200,9 +200,7 @@ def _with_residuals(task: Task, fit: Fit) -> Fit:
     factor = 1.0
     if task.settings.speckle == "measured":
         factor = noise_factor(task.image, fit.phase, ratio)
-    data = fit.data._replace(
-        power=1 / factor, wave_precision=fit.data.wave_precision / factor
-    )
+    data = fit.data._replace(power=1 / factor, wave_precision=fit.data.wave_precision / factor)
     return fit._replace(data=data, trended=trended, noise_factor=factor)
 
 

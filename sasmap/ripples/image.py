@@ -72,8 +72,8 @@ class Image:
         """Row (rows, 1) and column (1, columns) numbers from the clip's centre."""
         rows, columns = self.shape
         return (
-            (np.arange(rows) - (rows - 1) / 2)[:, None],
-            (np.arange(columns) - (columns - 1) / 2)[None, :],
+            (np.arange(rows, dtype=np.float64) - (rows - 1) / 2)[:, None],
+            (np.arange(columns, dtype=np.float64) - (columns - 1) / 2)[None, :],
         )
 
     def project(self, direction: FloatArray) -> FloatArray:
@@ -114,9 +114,7 @@ def as_image(clip: Clip) -> Image:
     steps, first = lattice(clip)
     straight = _bend(clip, valid, steps, first) <= MAX_BEND * clip.pixel_size
     if straight and abs(np.linalg.det(steps)) > 0:
-        return Image(
-            wide, valid, saturated, clip.ground_range, clip.altitude, steps, azimuth, mean
-        )
+        return Image(wide, valid, saturated, clip.ground_range, clip.altitude, steps, azimuth, mean)
     return _summed(clip, wide, valid, saturated, azimuth, mean)
 
 

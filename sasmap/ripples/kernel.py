@@ -36,7 +36,7 @@ SIZE = 6
 # Receiver noise: about 20 dB below the sea floor, give or take a factor of e^2.
 NOISE_MEAN, NOISE_SD = float(np.log(0.01)), 2.0
 NOISE_BOUNDS = (float(np.log(1e-6)), float(np.log(10.0)))
-# Blurs, rad: of straight crests at most a thirtieth of a wave; with a field, so that a pulse is one.
+# Blurs, rad: of straight crests at most a thirtieth of a wave; of fields, short of no pulse.
 BLUR_BOUNDS = (float(np.log(1e-3)), float(np.log(1.5)))
 STRAIGHT_BLUR = float(np.log(0.2))
 # With a phase field the fundamental's phase is the field's, to this standard deviation, rad.

@@ -79,9 +79,7 @@ def summarise(posterior: Posterior) -> Summary:
     Summary
     """
     if not posterior.sampled:
-        return Summary(
-            posterior.quality, posterior.left_out, probability=posterior.probability
-        )
+        return Summary(posterior.quality, posterior.left_out, probability=posterior.probability)
     draws = [posterior.draws[name].values for name in ("frequency", "height")]
     q05, q95 = (tuple(float(np.quantile(d, p)) for d in draws) for p in (0.05, 0.95))
     spread = [float(d.std(ddof=1)) for d in draws]

@@ -44,7 +44,8 @@ BLUR, BLUR_SD = 0.02, 1.0
 WANDER_SHARE, FORK_TURN = 0.15, 0.06
 
 
-class Boxes(NamedTuple):
+@dataclass(frozen=True)
+class Boxes:
     """A clip demodulated at a wave; arrays (box rows, box columns).
 
     Attributes
@@ -127,9 +128,9 @@ class PhaseField:
         """Rippled boxes and the holes among them."""
         return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])
 
-    def pixels(self, boxes: NDArray[np.generic], shape: tuple[int, int]) -> NDArray[np.generic]:
-        """Spread an array over boxes to the image's pixels."""
-        if boxes.dtype == bool and boxes.all():
+    def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
+        """Spread a mask of boxes to the image's pixels."""
+        if boxes.all():
             return np.ones(shape, bool)
         wide = np.repeat(np.repeat(boxes, self.box, axis=0), self.box, axis=1)
         return wide[: shape[0], : shape[1]]
@@ -156,14 +157,15 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
     size = int(max(pixels / BOXES, np.ceil(max(image.shape) / MAX_BOXES), 1))
     one = image.valid.astype(float)
     sums = [box_sums(v, image.valid, 0.0, 0.0, size)[0].real for v in (image.power, one)]
-    turned = [
-        box_sums(v, image.valid, per_column, per_row, size)[0] for v in (image.power, one)
-    ]
+    turned = [box_sums(v, image.valid, per_column, per_row, size)[0] for v in (image.power, one)]
     twice = box_sums(one, image.valid, 2 * per_column, 2 * per_row, size)[0]
     wavelength = pixels / size
     smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
     trend = _local_trend(
-        smooth(sums[0]).real, smooth(sums[1]).real, smooth(turned[0]), smooth(turned[1]),
+        smooth(sums[0]).real,
+        smooth(sums[1]).real,
+        smooth(turned[0]),
+        smooth(turned[1]),
         smooth(twice),
     )
     flat = turned[0] / trend - turned[1]
@@ -179,8 +181,9 @@ class _Smoother:
         self._shape = shape
         pad = int(4 * min(sd, max(shape)))
         full = [next_fast_len(n + pad) for n in shape]
-        frequency = [np.fft.fftfreq(n)[:, None] if i == 0 else np.fft.fftfreq(n)
-                     for i, n in enumerate(full)]
+        frequency = [
+            np.fft.fftfreq(n)[:, None] if i == 0 else np.fft.fftfreq(n) for i, n in enumerate(full)
+        ]
         self._full = (full[0], full[1])
         self._window = np.exp(-2 * (np.pi * sd) ** 2 * (frequency[0] ** 2 + frequency[1] ** 2))
 
@@ -313,8 +316,22 @@ def straight(image: Image, wave: FloatArray, boxes: Boxes) -> PhaseField:
     extent = float(np.hypot(np.ptp(along), np.ptp(across)))
     rough = 0.05 / max(float(np.ptp(across)), image.pixel_size)
     return PhaseField(
-        wave, True, boxes.size, 1, one, one, one, covered, mean, np.array([np.inf, rough]), BLUR, BLUR_SD,
-        extent, fraction, float("inf"), 0.0,
+        wave,
+        True,
+        boxes.size,
+        1,
+        one,
+        one,
+        one,
+        covered,
+        mean,
+        np.array([np.inf, rough]),
+        BLUR,
+        BLUR_SD,
+        extent,
+        fraction,
+        float("inf"),
+        0.0,
     )
 
 
@@ -349,7 +366,7 @@ def bend(boxes: Boxes) -> Bend:
     -------
     Bend
     """
-    tiles = max(int(round(boxes.wavelength / 3)), 1)
+    tiles = max(round(boxes.wavelength / 3), 1)
     row, column = np.indices(boxes.count.shape) // tiles
     even = (row + column) % 2 == 0
     whole = abs(boxes.turned.sum())
@@ -456,7 +473,9 @@ def _mean_wave(
 def _forks(field: ComplexArray, weight: FloatArray) -> int:
     """Places that the phase winds around: where crests split or end."""
     corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
-    turns = [np.angle(b * np.conj(a)) for a, b in zip(corners, corners[1:] + corners[:1])]
+    turns = [
+        np.angle(b * np.conj(a)) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+    ]
     wound = np.abs(np.sum(turns, axis=0)) > np.pi
     inside = (weight[:-1, :-1] > 0) & (weight[1:, 1:] > 0)
     return int((wound & inside).sum())

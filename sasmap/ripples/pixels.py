@@ -210,7 +210,5 @@ def unfold_pixels(known, plan, pulses):  # type: ignore[no-untyped-def]
             k = min(int(cycles * plan.bins), plan.bins - 1)
             along = plan.along[0] * column + plan.along[1] * row
             block = min(max(int((along - plan.start) / plan.width), 0), plan.blocks - 1)
-            image[i, j] = pulses[block, k] * between(
-                plan.trend, low_row, down, low_column, right
-            )
+            image[i, j] = pulses[block, k] * between(plan.trend, low_row, down, low_column, right)
     return image

@@ -19,20 +19,24 @@ from scipy.ndimage import uniform_filter
 from scipy.special import gammaincc
 
 from sasmap.ripples.image import Image
+from sasmap.ripples.pixels import wave_boxes
 
 FloatArray = NDArray[np.float64]
 
 # A clip must hold this many wavelengths, and a wavelength this many pixels, to show a ripple.
 MIN_WAVES = 3.5
 MIN_PIXELS = 4.0
-FALSE_ALARM = 1e-4
-# Boxes of the spectrum (bins) over which bent crests may spread, and how far above the spectrum
-# around it each must stand.
-BOXES = ((1, 14.0), (3, 5.0), (7, 3.0))
-# Noise-equivalent bins that a Hann taper makes of one in each direction.
-TAPER_BINS = 1.5
+FALSE_ALARM = 1e-5
+# Boxes of the spectrum (bins a side) over which bent crests may spread: independent bins in them
+# after a Hann taper, and how far above the spectrum around it each must stand.
+BOXES = ((1, 1.0, 16.0), (3, 3.5, 8.5), (7, 15.0, 4.5))
+# Waves as long as this share of the clip must stand as far above it as a single bin: there trends
+# and edges have their power.
+LONG_WAVES, LONG_PEAK = 7.0, 16.0
 # Wavelengths along its normal that a wave must extend over (participation ratio of its energy).
 MIN_EXTENT = 2.6
+# Bins to which the lobe of a line reaches after a Hann taper.
+LOBE = 2.1
 # Larger amplitudes than this many times their trend count as this.
 CAP = 3.5
 CANDIDATES = 6
@@ -63,7 +67,8 @@ class Wave(NamedTuple):
     energy: float
 
 
-class Rings(NamedTuple):
+@dataclass(frozen=True)
+class Rings:
     """Rings of a spectrum of a given shape."""
 
     index: NDArray[np.int64]
@@ -85,15 +90,18 @@ class Spectrum:
         cycles/m.
     waves : ndarray (rows, columns)
         Wavelengths that the clip's valid part holds along each wave vector.
-    flat : ndarray (rows, columns)
-        What was transformed, before its taper.
+    plain : ndarray (rows, columns)
+        Amplitude over its mean, less 1: with its trend.
+    with_trend : ndarray (rows, columns)
+        Periodogram of that.
     """
 
     power: FloatArray
     white: FloatArray
     frequency: FloatArray
     waves: FloatArray
-    flat: FloatArray
+    plain: FloatArray
+    with_trend: FloatArray
 
 
 def flattened(image: Image) -> FloatArray:
@@ -104,7 +112,9 @@ def flattened(image: Image) -> FloatArray:
     amplitude = np.sqrt(image.power)
     rows, columns = image.shape
     across, down = min(16, rows), min(16, columns)
-    edges = [np.linspace(0, n, k + 1).astype(int)[:-1] for n, k in ((rows, across), (columns, down))]
+    edges = [
+        np.linspace(0, n, k + 1).astype(int)[:-1] for n, k in ((rows, across), (columns, down))
+    ]
 
     def blocks(values: FloatArray) -> FloatArray:
         return np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1)
@@ -112,9 +122,7 @@ def flattened(image: Image) -> FloatArray:
     count = blocks(image.valid.astype(float))
     mean = blocks(amplitude) / np.maximum(count, 1)
     used = count > 0.1 * count.max()
-    y, x = (
-        (np.append(e, n)[1:] + e - n) / n for e, n in ((edges[0], rows), (edges[1], columns))
-    )
+    y, x = ((np.append(e, n)[1:] + e - n) / n for e, n in ((edges[0], rows), (edges[1], columns)))
     degree = min(4, int(np.sqrt(used.sum())) - 1)
     terms = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     design = np.stack([np.multiply.outer(y**i, x**j)[used] for i, j in terms], axis=-1)
@@ -126,9 +134,13 @@ def flattened(image: Image) -> FloatArray:
         c * np.multiply.outer(row**i, column**j) for c, (i, j) in zip(fit, terms, strict=True)
     )
     low = 0.1 * float(amplitude[image.valid].mean())
-    flat = np.minimum(amplitude / np.maximum(trend, low), CAP) - 1.0
-    flat = np.where(image.valid, flat, 0.0)
-    return np.asarray(np.where(image.valid, flat - flat[image.valid].mean(), 0.0))
+    return _centred(amplitude / np.maximum(trend, low), image.valid)
+
+
+def _centred(level: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
+    """Level, at most CAP, less its mean; 0 where not valid."""
+    capped = np.minimum(level, CAP)
+    return np.asarray(np.where(valid, capped - capped[valid].mean(), 0.0))
 
 
 def spectrum(image: Image) -> Spectrum | None:
@@ -146,8 +158,13 @@ def spectrum(image: Image) -> Spectrum | None:
     flat = flattened(image)
     if not np.abs(flat).max() > 0:
         return None
+    amplitude = np.sqrt(image.power)
+    plain = _centred(amplitude / amplitude[image.valid].mean(), image.valid)
     taper = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in image.shape]
-    power = np.abs(fft2(flat * taper[0][:, None] * taper[1])) ** 2
+    # one transform of two real images
+    both = fft2((flat + 1j * plain) * taper[0][:, None] * taper[1])
+    turned = np.conj(np.roll(both[::-1, ::-1], 1, axis=(0, 1)))
+    power, with_trend = (np.abs(0.5 * (both + sign * turned)) ** 2 for sign in (1, -1))
     rings = _rings(image.shape)
     level = np.bincount(rings.index.ravel(), np.log(power + 1e-300).ravel()) / rings.count
     white = power / np.exp(level + EULER)[rings.index]
@@ -158,7 +175,7 @@ def spectrum(image: Image) -> Spectrum | None:
     rows, columns = np.nonzero(image.valid)
     extent = np.array([np.ptp(columns) + 1, np.ptp(rows) + 1])
     waves = np.hypot(per_column * extent[0], per_row[:, None] * extent[1])
-    return Spectrum(power, white, np.hypot(east, north), waves, flat)
+    return Spectrum(power, white, np.hypot(east, north), waves, plain, with_trend)
 
 
 @lru_cache(maxsize=8)
@@ -173,7 +190,7 @@ def _rings(shape: tuple[int, int]) -> Rings:
     return Rings(index, np.maximum(np.bincount(index.ravel()), 1).astype(float), radius)
 
 
-def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> list[Wave]:
+def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> list[Wave] | None:
     """Return the candidate waves of a clip, the most likely ripple first.
 
     Parameters
@@ -185,8 +202,8 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
 
     Returns
     -------
-    list of Wave
-        Each half plane of wave vectors once; empty where the clip is too short or too coarse for
+    list of Wave or None
+        Each half plane of wave vectors once; None where the clip is too short or too coarse for
         any frequency within the bounds.
     """
     half = np.zeros(image.shape, bool)
@@ -196,21 +213,21 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
     searched = half & (found.waves >= MIN_WAVES) & (radius * MIN_PIXELS <= 1)
     searched &= (found.frequency >= bounds[0]) & (found.frequency <= bounds[1])
     if not searched.any():
-        return []
+        return None
     waves: list[Wave] = []
     trials = float(searched.sum())
-    for size, least in BOXES:
+    for size, looks, enough in BOXES:
         smooth = uniform_filter(found.white, size, mode="wrap") if size > 1 else found.white
-        looks = max(size / TAPER_BINS, 1.0) ** 2
         score = np.where(searched, smooth, 0.0)
         for row, column in _tops(score, CANDIDATES):
-            ratio = smooth[row, column]
-            around = ratio / max(_along_ray(found.white, smooth, row, column), 1.0)
-            chance = float(gammaincc(looks, looks * around)) * trials / looks
-            if around < 0.5 * least:
+            ratio = float(smooth[row, column])
+            least = enough if found.waves[row, column] >= LONG_WAVES else LONG_PEAK
+            chance = float(gammaincc(looks, looks * ratio)) * trials / looks
+            around = min(ratio, _over_ray(found.with_trend, row, column, size))
+            if around < 0.5 * least or chance > 1:
                 continue
-            vector = image.per_metre(_peak(found.power, row, column))
-            extent = _extent(image, found.flat, vector)
+            vector = image.per_metre(_peak(found.power, row, column, max(size, 3)))
+            extent = _extent(image, found.plain, vector)
             energy = float(found.power[row, column])
             chance_of = _probability(chance, around / least, extent)
             waves.append(Wave(vector, chance_of, extent, float(ratio), energy))
@@ -220,10 +237,9 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
 
 def _probability(chance: float, strength: float, extent: float) -> float:
     """Probability of a ripple: of its peak against chance, its strength and its extent."""
-    odds = min(FALSE_ALARM / max(chance, 1e-300), 1e12)
-    gates = strength**8 * (extent / MIN_EXTENT) ** 12
-    value = min(odds, 1e12 * gates) * min(gates, 1.0) if gates < 1 else odds
-    return float(value / (1 + value))
+    odds = FALSE_ALARM / max(chance, 1e-12)
+    gates = [1 / (1 + np.exp(-s)) for s in (16 * (strength - 1), 6 * (extent - MIN_EXTENT))]
+    return float(odds / (1 + odds) * np.prod(gates))
 
 
 def _tops(score: FloatArray, most: int) -> list[tuple[int, int]]:
@@ -241,32 +257,40 @@ def _tops(score: FloatArray, most: int) -> list[tuple[int, int]]:
     return places
 
 
-def _along_ray(white: FloatArray, smooth: FloatArray, row: int, column: int) -> float:
-    """Mean of the spectrum on the larger side of a peak along its ray from the origin."""
-    rows, columns = white.shape
+def _over_ray(power: FloatArray, row: int, column: int, size: int) -> float:
+    """Power of a peak (mean of a box) over that on the larger side along its ray."""
+    rows, columns = power.shape
     wave = np.array(
-        [row if row <= rows // 2 else row - rows, column if column <= columns // 2 else column - columns]
+        [
+            row if row <= rows // 2 else row - rows,
+            column if column <= columns // 2 else column - columns,
+        ]
     )
     across = np.array([-wave[1], wave[0]]) / np.hypot(*wave)
+    reach = np.arange(size) - size // 2
+    here = power[np.ix_((row + reach) % rows, (column + reach) % columns)].mean()
     levels = []
-    for near, far in ((0.4, 0.72), (1.35, 1.8)):
-        reach = max(int((far - near) * np.hypot(*wave)), 2)
-        along = np.linspace(near, far, reach + 1)
+    bins = float(np.hypot(*wave))
+    clear = LOBE / bins  # of the peak's own lobe
+    for near, far in (
+        (min(0.45, 0.9 - clear), min(0.72, 1 - clear)),
+        (max(1.35, 1 + clear), max(1.8, 1.2 + clear)),
+    ):
+        steps = max(int((far - near) * bins), 2)
+        along = np.linspace(near, far, steps + 1)
         points = [along[:, None] * wave + offset * across for offset in (-1.0, 0.0, 1.0)]
         place = np.rint(np.concatenate(points)).astype(int)
-        levels.append(float(np.median(white[place[:, 0] % rows, place[:, 1] % columns]) / np.log(2)))
-    return max(levels)
+        levels.append(float(power[place[:, 0] % rows, place[:, 1] % columns].mean()))
+    return float(here / max(*levels, 1e-300))
 
 
-def _peak(power: FloatArray, row: int, column: int) -> FloatArray:
-    """Cycles a column and a row of a peak, to a fraction of a bin."""
+def _peak(power: FloatArray, row: int, column: int, size: int) -> FloatArray:
+    """Cycles a column and a row of the highest bin of a box, to a fraction of a bin."""
     rows, columns = power.shape
-    box = np.log(
-        power[np.ix_((row + np.arange(-1, 2)) % rows, (column + np.arange(-1, 2)) % columns)]
-        + 1e-300
-    )
+    reach = np.arange(size) - size // 2
+    box = power[np.ix_((row + reach) % rows, (column + reach) % columns)]
     centre = np.unravel_index(int(np.argmax(box)), box.shape)
-    row, column = row + int(centre[0]) - 1, column + int(centre[1]) - 1
+    row, column = row + int(reach[centre[0]]), column + int(reach[centre[1]])
     offsets = []
     for axis in (1, 0):
         before, after = (
@@ -275,42 +299,34 @@ def _peak(power: FloatArray, row: int, column: int) -> FloatArray:
         )
         here = np.log(power[row % rows, column % columns] + 1e-300)
         bend = before - 2 * here + after
-        offsets.append(float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0)
+        offsets.append(
+            float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+        )
     per_column = (column + offsets[0]) / columns
     per_row = (row + offsets[1]) / rows
     return np.array([(per_column + 0.5) % 1 - 0.5, (per_row + 0.5) % 1 - 0.5])
 
 
-def _extent(image: Image, flat: FloatArray, vector: FloatArray) -> float:
+def _extent(image: Image, plain: FloatArray, vector: FloatArray) -> float:
     """Wavelengths along its normal over which a wave's energy extends: a participation ratio.
 
+    Mean over strips along the normal, by their energy: a boundary crosses each strip once.
     Coherent sums over boxes a wavelength long and a sixteenth of the clip (at least a wavelength)
     wide, less what speckle leaves in them.
     """
-    row, column = image.rows_and_columns
-    per_column, per_row = image.per_pixel(vector)
-    cycles = per_column * column + per_row * row
-    unit = np.array([-per_row, per_column]) / np.hypot(per_column, per_row)
-    across = unit[0] * column + unit[1] * row
-    width = max(1 / np.hypot(per_column, per_row), np.ptp(across) / 16)
-    along = np.floor(cycles - cycles.min()).astype(np.int64)
-    strips = int(np.ptp(across) / width) + 1
-    index = along * strips + np.floor((across - across.min()) / width).astype(np.int64)
-    size = (int(along.max()) + 1) * strips
-
-    def boxes(values: FloatArray) -> FloatArray:
-        return np.bincount(index.ravel(), values.ravel(), size).reshape(-1, strips)
-
-    turn = 2 * np.pi * cycles
-    energy = boxes(flat * np.cos(turn)) ** 2 + boxes(flat * np.sin(turn)) ** 2
-    noise = boxes(flat**2)
-    count = boxes(image.valid.astype(float))
-    # boxes of one bright thing weigh no more than the rest: energy per expected noise
+    per_column, per_row = (float(v) for v in image.per_pixel(vector))
+    width = max(1 / np.hypot(per_column, per_row), max(image.shape) / 16)
+    turned, noise, count = wave_boxes(plain, image.valid, per_column, per_row, width)
+    full = count > 0.5 * np.quantile(count[count > 0], 0.9)
     mean_noise = noise.sum() / max(count.sum(), 1.0)
-    excess = (energy - np.maximum(noise, mean_noise * count)) / np.maximum(count, 1.0)
-    line = np.maximum(np.where(count > 0, excess, 0.0).sum(axis=1), 0.0)
-    total = line.sum()
-    return float(total**2 / (line**2).sum()) if total > 0 else 0.0
+    # a box of one bright thing weighs no more than the rest
+    excess = np.abs(turned) ** 2 - np.maximum(noise, mean_noise * count)
+    energy = np.maximum(np.where(full, excess / np.maximum(count, 1.0), 0.0), 0.0)
+    strip, square = energy.sum(axis=0), (energy**2).sum(axis=0)
+    if not square.max() > 0:
+        return 0.0
+    ratio = strip**2 / np.where(square > 0, square, 1.0)
+    return float((strip * ratio).sum() / strip.sum())
 
 
 def too_long(image: Image, found: Spectrum, bounds: tuple[float, float]) -> bool:
@@ -333,6 +349,5 @@ def too_long(image: Image, found: Spectrum, bounds: tuple[float, float]) -> bool
     low &= (found.frequency >= bounds[0]) & (found.frequency <= bounds[1])
     if not low.any():
         return False
-    rows, columns = image.shape
     taper = 0.25 * image.valid.sum()  # sum of the taper over the valid pixels, nearly
     return bool(2 * np.sqrt(found.power[low].max()) / taper > 0.3)

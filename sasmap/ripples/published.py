@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from sasmap.ripples.clip import Clip, bin_clip
+from sasmap.ripples.clip import Clip, mean_look
 from sasmap.ripples.kernel import PriorData
 from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.scattering import SIGMA_VARIANCE
@@ -60,23 +60,32 @@ def normalise(clip: Clip) -> FloatArray:
 
 
 def reduce(clip: Clip, image: FloatArray) -> PublishedData:
-    """Average a normalised clip over range bins: the Gaussian likelihood needs no more."""
-    binned = bin_clip(clip, image)
-    weight = binned.pixels
-    count = weight.sum(axis=0)
+    """Average a normalised clip over range bins of a pixel: the Gaussian likelihood needs no more.
+
+    Parameters
+    ----------
+    clip : Clip
+    image : ndarray (rows, columns)
+        Of :func:`normalise`.
+
+    Returns
+    -------
+    PublishedData
+        Of the bins that hold a pixel, along the mean look.
+    """
+    valid = clip.valid
+    look = np.radians(mean_look(clip))
+    x, y = clip.x[valid], clip.y[valid]
+    place = ((x - x.mean()) * np.sin(look) + (y - y.mean()) * np.cos(look)) / clip.pixel_size
+    bins = np.floor(place - place.min() + 0.5 + 1e-6).astype(np.int64)
+    count = np.bincount(bins)
     used = count > 0
-    u = binned.centres
 
-    def mean_of(level: FloatArray, slope: FloatArray) -> FloatArray:
-        field = level[:, None] + slope[:, None] * u
-        return np.asarray(((weight * field).sum(axis=0))[used] / count[used])
+    def mean_of(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(bins, values[valid])[used] / count[used])
 
-    return PublishedData(
-        count[used],
-        binned.total.sum(axis=0)[used] / count[used],
-        mean_of(binned.range0, binned.range_slope),
-        mean_of(binned.altitude0, binned.altitude_slope),
-    )
+    means = (mean_of(values) for values in (image, clip.ground_range, clip.altitude))
+    return PublishedData(count[used].astype(float), *means)
 
 
 def initial(data: PublishedData, image: FloatArray, prior: PriorData) -> FloatArray:
@@ -86,7 +95,7 @@ def initial(data: PublishedData, image: FloatArray, prior: PriorData) -> FloatAr
     frequency = np.fft.rfftfreq(data.mean.size, step)
     peak = frequency[1 + int(np.argmax(power[1:]))]
     rms = np.sqrt(np.nanmean(image**2))
-    return np.asarray(np.clip(np.array([peak, rms]), prior.lower, prior.upper))
+    return np.asarray(np.clip(np.array([peak, rms]), prior.lower[:2], prior.upper[:2]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -164,7 +173,7 @@ def sample_published(
     acceptance : float
     """
     image = normalise(clip)
-    data, compiled = reduce(clip, image), prior.compiled()
+    data, compiled = reduce(clip, image), prior.compiled(mean_look(clip))
     draws = np.empty((ITERATIONS, 2))
     accepted = algorithm_one(initial(data, image, compiled), data, compiled, rng, draws)
     return draws[None, ITERATIONS // 2 :], accepted / (2.0 * ITERATIONS)

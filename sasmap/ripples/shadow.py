@@ -91,7 +91,7 @@ def _sight_edges(past: FloatArray, line: FloatArray) -> tuple[float, float]:
     first = int(hidden[0]) - 1
     bend = line[max(first - 1, 0)] - 2 * line[first] + line[first + 1]
     offset = 0.0
-    if 0 < first and bend < 0:
+    if first > 0 and bend < 0:
         offset = 0.5 * float(line[first - 1] - line[first + 1]) / float(bend)
     margin = highest - line
     begin = float(past[first]) + offset * float(past[1])

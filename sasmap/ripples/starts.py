@@ -116,7 +116,7 @@ def cooled_population(
     which = rng.integers(0, len(centres), PARTICLES)
     offset = WIDEN * widths[which] * rng.normal(size=(PARTICLES, SIZE))
     particles = centres[which] + offset
-    (f_low, f_high), (h_low, h_high) = prior.bounds
+    (f_low, f_high), (h_low, _) = prior.bounds
     particles[:, 0] = np.clip(particles[:, 0], f_low, f_high)
     particles[:, 1] = np.abs(particles[:, 1] - h_low) + h_low
     particles[:, 4] = np.clip(particles[:, 4], *NOISE_BOUNDS)

@@ -64,7 +64,7 @@ def simulate_clip(scene: Scene, rng: np.random.Generator, which: int = 0) -> Sim
     """
     scene_pass = scene.passes[which]
     size = scene_pass.pixel_size or scene.pixel_size
-    shape = (int(round(scene.size[1] / size)), int(round(scene.size[0] / size)))
+    shape = (round(scene.size[1] / size), round(scene.size[0] / size))
     left, top = scene.origin[0], scene.origin[1] + scene.size[1]
     transform = Affine(size, 0, left, 0, -size, top)
     floor = SeaFloor(scene)

@@ -82,9 +82,7 @@ def straight_clip(
         extreme = steepest(steepness, profile)
         amplitude = lit_amplitude(grazing, slope, extreme, steepness * np.cos(turn))
         amplitude = np.maximum(amplitude, 0) / lit_amplitude(grazing, 0.0, 1.0, 0.0).mean()
-    hidden = shadow_mask(
-        angle, ground_range, altitude, along, frequency, height, profile, shadow
-    )
+    hidden = shadow_mask(angle, ground_range, altitude, along, frequency, height, profile, shadow)
     mean = np.where(hidden, 0.0, amplitude**2) + noise
     field = rng.normal(size=(2, *shape))
     if correlation > 0:

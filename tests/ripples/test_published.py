@@ -14,7 +14,7 @@ from sasmap.ripples.published import (
 from tests.helpers import zare_cobb_amplitude, zare_cobb_clip
 
 SETTINGS = RippleSettings(method="zare-cobb", frequency=(0, 1), height=(0, 1))
-PRIOR = Prior.flat((0, 1), (0, 1)).compiled()
+PRIOR = Prior.flat((0, 1), (0, 1)).compiled(90.0)
 
 
 def test_amplitude_is_the_crest_rule_model():

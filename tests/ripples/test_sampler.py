@@ -2,36 +2,37 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sasmap.ripples.clip import bin_clip
 from sasmap.ripples.kernel import NOISE_BOUNDS, NOISE_MEAN, NOISE_SD
-from sasmap.ripples.likelihood import Prior, speckle_data
+from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.sampler import learn_proposal, metropolis
-from sasmap.ripples.starts import _next_power, _resample
-from tests.helpers import clip_of
+from sasmap.ripples.starts import _next_power, _resample, parameters
+from tests.helpers import zare_cobb_clip
+from tests.ripples.test_likelihood import fitted
 
-PRIOR = Prior((0.6, 0.1), (0.05, 0.04), ((0.5, 0.66), (0.0, 0.3)), 0.6)
+PRIOR = Prior((0.6, 0.1), (0.05, 0.04), ((0.5, 0.66), (0.0, 0.3)), 0.6, (92.0, 3.0))
 
 
 @pytest.fixture(scope="module")
 def draws():
-    """Draws of a target that is the prior: one bin with pixels makes the likelihood constant."""
-    amplitude = np.full((20, 50), np.nan)
-    amplitude[:, 25] = 1.0
-    clip = clip_of(amplitude, 30 + 0.05 * np.arange(50), 5.0, 0.05)
-    data = speckle_data(bin_clip(clip), "none")
+    """Draws of a target that is the prior: a likelihood to the power of nearly nothing."""
+    data = fitted(zare_cobb_clip(24.4, 36.6, 0.6, 0.07), "crest").data
+    data = data._replace(power=1e-12, wave_precision=np.zeros(2))
     rng = np.random.default_rng(7)
     members = np.column_stack(
         [
             rng.normal(0.59, 0.04, 96),
             rng.normal(0.1, 0.04, 96),
+            rng.normal(np.radians(92), 0.05, 96),
             rng.uniform(0, 6, 96),
             rng.normal(-4, 2, 96),
+            rng.normal(data.blur[0], 1 / np.sqrt(data.blur[1]), 96),
         ]
     )
-    start = np.array([0.6, 0.1, 1.0, -4.0])
-    chain = metropolis(start, 60_000, learn_proposal(members), data, PRIOR.compiled(), rng)
-    assert 0.2 < chain.accepted / 60_000 < 0.9
-    return chain.draws[1000::50]
+    start = np.array([0.6, 0.1, np.radians(92), 1.0, -4.0, data.blur[0]])
+    compiled = PRIOR.compiled(90.0)
+    chain = metropolis(start, 100_000, learn_proposal(members), data, compiled, rng)
+    assert 0.2 < chain.accepted / 100_000 < 0.9
+    return parameters(chain.draws[1000::50])
 
 
 def truth(n, seed=1):
@@ -51,9 +52,10 @@ def test_sampler_reaches_its_target(draws):
         assert stats.ks_2samp(draws[:, i], reference[:, i]).pvalue > 1e-3
     product = [np.prod(d[:, :2] - reference.mean(axis=0), axis=1) for d in (draws, reference)]
     assert stats.ks_2samp(*product).pvalue > 1e-3
+    assert stats.kstest(np.degrees(draws[:, 2]), stats.norm(92, 3).cdf).pvalue > 1e-3
     low, high = ((v - NOISE_MEAN) / NOISE_SD for v in NOISE_BOUNDS)
     noise = stats.truncnorm(low, high, NOISE_MEAN, NOISE_SD)
-    assert stats.kstest(draws[:, 3], noise.cdf).pvalue > 1e-3
+    assert stats.kstest(draws[:, 4], noise.cdf).pvalue > 1e-3
 
 
 def test_the_same_harness_refuses_a_wrong_target(draws):
