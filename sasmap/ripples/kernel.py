@@ -259,12 +259,13 @@ def _edges_seen(theta, data, block, farther, full, steepness, edges):  # type: i
     """Fill the shadow edges at a log slope of the ray from the block's; return whether any.
 
     The slope of the ray is that of the point's own height; by the crest rule, that at the crest.
+    The second half of `edges` is scratch.
     """
     ratio = data.altitude[block] / data.reach[block] / steepness * np.exp(farther)
     if not shadow_edges(ratio, full, data, edges):
         return False
     wave = 2.0 * np.pi * theta[0] * np.cos(theta[2] - data.look)
-    own = np.empty(4)
+    own = edges[4:]
     for k in range(2):
         for _ in range(2):
             if data.shadow == 2:
@@ -313,8 +314,9 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
     swing = damping * 0.5 * (grow - 1.0 / grow)
     change = damping * 0.5 * (grow + 1.0 / grow) * tilt / SIGMA_VARIANCE
     noise = np.exp(theta[4])
-    edges = np.zeros(4)
+    edges = np.zeros(8)
     shadowed, onset = False, False
+    first_past, last_past = 0.0, 2.0 * np.pi  # phases past the crest beyond which all is lit
     if data.shadow > 0 and steepness > 0.0:
         shadowed = _edges_seen(theta, data, block, 0.0, full, steepness, edges)
         limit = data.table[0, 2, 0]
@@ -322,9 +324,16 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
             limit *= _steepest(full, STOKES)
         ratio = data.altitude[block] / data.reach[block] / (steepness * limit)
         onset = ONSET[0] < ratio < ONSET[1]  # edges part too fast for a straight line through them
-    widen = np.sqrt(3.0) * blur
-    widen_first = np.hypot(data.spread[block] * edges[2], widen)
-    widen_last = np.hypot(data.spread[block] * edges[3], widen)
+    widen = 3.0 * blur * blur
+    widen_first = (data.spread[block] * edges[2]) ** 2 + widen
+    widen_last = (data.spread[block] * edges[3]) ** 2 + widen
+    if onset:
+        lowest = data.farther[block].min()
+        onset = _edges_seen(theta, data, block, lowest, full, steepness, edges)
+        widest = data.half[block].max()
+        margin = np.sqrt(widest * widest + widen) + widest + data.guard
+        first_past, last_past = edges[0] - margin, edges[1] + margin
+        shadowed = onset
     cos_offset, sin_offset = np.cos(offset), np.sin(offset)
     weight[:] = 1.0
     for i in range(shape.size):
@@ -338,22 +347,25 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
         reach = swing + change * data.steeper[block, i]
         a = max(1.0 + reach * _slope_of(c, s, full, data.profile), 0.0)
         value = a * a * data.flat[block, i]
-        if onset:
-            own = _edges_seen(theta, data, block, data.farther[block, i], full, steepness, edges)
-        if shadowed or onset:
+        if shadowed:
             past = data.phase[block, i] + offset + more - 0.5 * np.pi
             past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))
+            if past < first_past or past > last_past:
+                shape[i] = value + noise
+                continue
             half = data.half[block, i]
             hidden, near = 0.0, np.inf
             if onset:
-                if own:
-                    both = np.hypot(half, widen)
+                farther = data.farther[block, i]
+                if _edges_seen(theta, data, block, farther, full, steepness, edges):
+                    both = np.sqrt(half * half + widen)
                     hidden = _hidden(past, edges[0], edges[1], both, both)
                     near = _distance(past, edges[0], edges[1])
             else:
                 farther = data.farther[block, i]
                 begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
-                first, last = np.hypot(half, widen_first), np.hypot(half, widen_last)
+                first = np.sqrt(half * half + widen_first)
+                last = np.sqrt(half * half + widen_last)
                 hidden = _hidden(past, begin, end, first, last)
                 near = _distance(past, begin, end)
             value *= 1.0 - hidden
