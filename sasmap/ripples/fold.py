@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import PEAKED, SINE, STOKES, FoldData
+from sasmap.ripples.kernel import BINS, PEAKED, SINE, STOKES, FoldData
 from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.pixels import (
     ALONG,
@@ -31,7 +31,6 @@ from sasmap.ripples.shadow import MAX_STEEPNESS, ShadowRule, shadow_table
 
 FloatArray = NDArray[np.float64]
 
-BINS = 64
 # Blocks of one gain hold at least a wavelength; those of one geometry, no more than this change of
 # the log of the ray's slope, where crests are straight.
 MAX_GAINS = 8
@@ -119,8 +118,10 @@ def fold(
     parts = np.asarray(sum((met >> k) & 1 for k in range(DITHER)), float)
     footprint = image.pixel_size * float(np.hypot(*phase.wave))  # in cycles
     columns = phase.rigid and float(np.median(parts[parts > 0])) < DITHER / 4
+    # the variance of a footprint, on three bins
+    leak = min((footprint * BINS) ** 2 / 16, 0.25) if columns else 0.0
     if columns:
-        sums = _footprints(sums, footprint * BINS)
+        sums = _footprints(sums, leak)
     count = np.maximum(sums[COUNT], 1)
     weight = places[0]
     typical = (places.sum(axis=1) / weight.sum())[1:, None]
@@ -174,6 +175,7 @@ def fold(
         steeper,
         level,
         dither,
+        leak,
         2 * np.pi * (2.5 if columns else 0.5) * footprint,
         reach,
         altitude,
@@ -197,9 +199,8 @@ def fold(
     )
 
 
-def _footprints(sums: FloatArray, width: float) -> FloatArray:
-    """Spread sums (SUMS, blocks, bins) by a pixel's footprint, `width` bins."""
-    side = min(width**2 / 16, 0.25)  # the variance of a footprint, on three bins
+def _footprints(sums: FloatArray, side: float) -> FloatArray:
+    """Spread sums (SUMS, blocks, bins) by a pixel's footprint: this share to each neighbour."""
     result = (1 - 2 * side) * sums
     for shift in (1, -1):
         moved = np.roll(sums, shift, axis=-1)

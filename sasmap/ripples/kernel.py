@@ -33,6 +33,9 @@ from sasmap.ripples.scattering import SIGMA_VARIANCE
 FloatArray = NDArray[np.float64]
 
 SIZE = 6
+# Bins of phase in a block, and the width of one, rad.
+BINS = 64
+BIN = 2.0 * np.pi / BINS
 # Receiver noise: about 20 dB below the sea floor, give or take a factor of e^2.
 NOISE_MEAN, NOISE_SD = float(np.log(0.01)), 2.0
 NOISE_BOUNDS = (float(np.log(1e-6)), float(np.log(10.0)))
@@ -74,6 +77,8 @@ class FoldData(NamedTuple):
         Relative to the block: log of the ray's slope, tilt (below), and flat sea floor's intensity.
     dither : ndarray (blocks, bins)
         Weight of a bin that a shadow's edge crosses.
+    leak : float
+        Share of a bin's pixels that lie beyond its width on each side.
     guard : float
         Phase beyond a shadow's edge over which that weight grows to 1, rad.
     reach, altitude, tilt : ndarray (blocks,)
@@ -116,6 +121,7 @@ class FoldData(NamedTuple):
     steeper: FloatArray
     flat: FloatArray
     dither: FloatArray
+    leak: float
     guard: float
     reach: FloatArray
     altitude: FloatArray
@@ -201,9 +207,14 @@ def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _share(position, half):  # type: ignore[no-untyped-def]
-    """Share of a bin's pixels that lie before a position relative to its centre."""
-    return min(max(0.5 + 0.5 * position / half, 0.0), 1.0)
+def _share(position, half, leak):  # type: ignore[no-untyped-def]
+    """Share of a bin's pixels that lie before a position relative to its centre.
+
+    All but a share `leak` on each side lie evenly within `half`; the rest within a bin more.
+    """
+    inside = min(max(0.5 + 0.5 * position / half, 0.0), 1.0)
+    beyond = min(max((abs(position) - half) / BIN, 0.0), 1.0) * leak
+    return leak + (1.0 - 2.0 * leak) * inside + (beyond if position > 0.0 else -beyond)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -279,14 +290,14 @@ def _edges_seen(theta, data, block, farther, full, steepness, edges):  # type: i
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hidden(past, begin, end, first, last):  # type: ignore[no-untyped-def]
+def _hidden(past, begin, end, first, last, leak):  # type: ignore[no-untyped-def]
     """Share of a bin in shadow: its phase past the crest, edges, and half-widths at both."""
-    hidden = _share(end - past, last) - _share(begin - past, first)
-    turn = 2.0 * np.pi
-    if past < max(first, last):
-        hidden += _share(end - turn - past, last) - _share(begin - turn - past, first)
-    if past > turn - max(first, last):
-        hidden += _share(end + turn - past, last) - _share(begin + turn - past, first)
+    hidden = _share(end - past, last, leak) - _share(begin - past, first, leak)
+    turn, reach = 2.0 * np.pi, max(first, last) + BIN
+    if past < reach:
+        hidden += _share(end - turn - past, last, leak) - _share(begin - turn - past, first, leak)
+    if past > turn - reach:
+        hidden += _share(end + turn - past, last, leak) - _share(begin + turn - past, first, leak)
     return min(max(hidden, 0.0), 1.0)
 
 
@@ -331,7 +342,7 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
         lowest = data.farther[block].min()
         onset = _edges_seen(theta, data, block, lowest, full, steepness, edges)
         widest = data.half[block].max()
-        margin = np.sqrt(widest * widest + widen) + widest + data.guard
+        margin = np.sqrt(widest * widest + widen) + max(widest + data.guard, BIN)
         first_past, last_past = edges[0] - margin, edges[1] + margin
         shadowed = onset
     cos_offset, sin_offset = np.cos(offset), np.sin(offset)
@@ -359,14 +370,14 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
                 farther = data.farther[block, i]
                 if _edges_seen(theta, data, block, farther, full, steepness, edges):
                     both = np.sqrt(half * half + widen)
-                    hidden = _hidden(past, edges[0], edges[1], both, both)
+                    hidden = _hidden(past, edges[0], edges[1], both, both, data.leak)
                     near = _distance(past, edges[0], edges[1])
             else:
                 farther = data.farther[block, i]
                 begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
                 first = np.sqrt(half * half + widen_first)
                 last = np.sqrt(half * half + widen_last)
-                hidden = _hidden(past, begin, end, first, last)
+                hidden = _hidden(past, begin, end, first, last, data.leak)
                 near = _distance(past, begin, end)
             value *= 1.0 - hidden
             # of lit and dark pixels together the intensity varies 2 / lit - 1 times as much
