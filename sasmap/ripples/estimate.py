@@ -35,6 +35,8 @@ REGISTRATION, EDGE_TURN, BENT_SHARE = 0.08, 2.0, 0.7
 WALK, WIDENED = 6, (1.5, 1.25, 1.1)
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
+# Standard deviations of the prior within which a wave is searched where it is assumed.
+SEARCHED_SD = 4.0
 # Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
 MIN_ALONG = 0.07
 # Share of the strongest wave's energy from which its half or double is tried as well.
@@ -103,7 +105,7 @@ def _default(
     found = spectrum(image)
     if found is None:
         return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
-    waves = find_waves(image, found, settings.frequency)
+    waves = find_waves(image, found, _searched(settings, prior))
     if waves is None:
         return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
     chosen, probability = _candidates(image, waves, settings)
@@ -115,11 +117,11 @@ def _default(
     fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.level)
     draws, acceptance, done = _sampled(fit, task, rng)
     return Posterior(
-        _judged(draws, done, image),
+        _judged(draws, done, image, probability),
         prior,
         labelled(vouched(draws, fit, task, rng)),
         acceptance,
-        _left_out(fit, shadow),
+        _left_out(fit, shadow, settings),
         probability,
         Shape(
             fit.profile,
@@ -131,6 +133,16 @@ def _default(
         modelled_amplitude(clip, image, fit, draws) if settings.keep_model else None,
         labelled(draws),
     )
+
+
+def _searched(settings: RippleSettings, prior: Prior) -> tuple[float, float]:
+    """Frequencies to search: where presence is assumed, those that the prior holds possible."""
+    low, high = settings.frequency
+    reach = SEARCHED_SD * prior.sd[0]
+    place = float(np.clip(prior.mean[0], low, high))
+    if settings.presence == "tested" or not np.isfinite(reach):
+        return low, high
+    return max(low, place - reach), min(high, place + reach)
 
 
 def _candidates(
@@ -241,10 +253,10 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     return result
 
 
-def _judged(draws: np.ndarray, done: bool, image: Image) -> Quality:
-    """Quality of a sampled clip."""
+def _judged(draws: np.ndarray, done: bool, image: Image, probability: float) -> Quality:
+    """Quality of a sampled clip: not identifiable where only the survey says that it is rippled."""
     along = np.abs(np.cos(draws[..., 2] - np.radians(image.azimuth)))
-    if np.quantile(along, 0.05) < MIN_ALONG:
+    if np.quantile(along, 0.05) < MIN_ALONG or probability < PRESENT:
         return Quality.NOT_IDENTIFIABLE
     return Quality.GOOD if done else Quality.NOT_CONVERGED
 
@@ -259,8 +271,8 @@ def labelled(draws: np.ndarray) -> xr.Dataset:
     return dataset(draws, ("frequency", "height", "azimuth", "phase", "noise", "blur"))
 
 
-def _left_out(fit: Fit, shadow: str | None) -> LeftOut:
-    left_out = NOTHING
+def _left_out(fit: Fit, shadow: str | None, settings: RippleSettings) -> LeftOut:
+    left_out = LeftOut.PRESENCE_TEST if settings.presence == "assumed" else NOTHING
     if shadow is None:
         left_out |= LeftOut.SHADOW
     if fit.phase.rigid:

@@ -203,8 +203,9 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
     Returns
     -------
     list of Wave or None
-        Each half plane of wave vectors once; None where the clip is too short or too coarse for
-        any frequency within the bounds.
+        Each half plane of wave vectors once; the strongest, of probability 0, where none is worth
+        a closer look; None where the clip is too short or too coarse for any frequency within the
+        bounds.
     """
     half = np.zeros(image.shape, bool)
     half[: image.shape[0] // 2 + 1, : image.shape[1] // 2 + 1] = True
@@ -216,6 +217,7 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
         return None
     waves: list[Wave] = []
     trials = float(searched.sum())
+    strongest = np.where(searched, found.white, 0.0)
     for size, looks, enough in BOXES:
         smooth = uniform_filter(found.white, size, mode="wrap") if size > 1 else found.white
         score = np.where(searched, smooth, 0.0)
@@ -231,8 +233,12 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
             energy = float(found.power[row, column])
             chance_of = _probability(chance, around / least, extent)
             waves.append(Wave(vector, chance_of, extent, float(ratio), energy))
-    waves.sort(key=lambda w: -w.probability * (1 + np.log1p(w.power)))
-    return waves
+    if not waves:
+        row, column = (int(i) for i in np.unravel_index(int(strongest.argmax()), image.shape))
+        vector = image.per_metre(_peak(found.power, row, column, 3))
+        power, energy = float(strongest[row, column]), float(found.power[row, column])
+        return [Wave(vector, 0.0, 0.0, power, energy)]
+    return sorted(waves, key=lambda w: -w.probability * (1 + np.log1p(w.power)))
 
 
 def _probability(chance: float, strength: float, extent: float) -> float:
