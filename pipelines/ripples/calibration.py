@@ -1,4 +1,4 @@
-"""Simulation-based calibration: do the intervals of f, A_H and azimuth mean what they say?
+"""Simulation-based calibration: whether intervals of f, A_H and azimuth mean what they say.
 
     python pipelines/ripples/calibration.py [--draws 2000] [--rows exact,k,stokes,lambert,wavy]
 
@@ -62,7 +62,7 @@ def draw_truth(prior: Prior, rng: np.random.Generator) -> tuple[float, float]:
     return truth[0], truth[1]
 
 
-def simulated(row: str, prior: Prior, azimuth: float, rng: np.random.Generator):  # noqa: ANN201
+def simulated(row: str, prior: Prior, azimuth: float, rng: np.random.Generator):
     """Simulate a clip; return it with the f and A_H that are true of it."""
     frequency, height = draw_truth(prior, rng)
     pixel = 1 / frequency / rng.uniform(12, 30)

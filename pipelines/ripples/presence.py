@@ -81,14 +81,14 @@ def trend(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def edge(rng: np.random.Generator, size: int) -> np.ndarray:
-    """A straight boundary of two sediments."""
+    """Simulate a straight boundary of two sediments."""
     turn, row, column = rng.uniform(0, np.pi), *np.indices((size, size)) - size / 2
     side = row * np.sin(turn) + column * np.cos(turn) > rng.uniform(-0.3, 0.3) * size
     return np.where(side, rng.uniform(1.5, 4), 1.0) * speckle(rng, size)
 
 
 def wavy_edge(rng: np.random.Generator, size: int) -> np.ndarray:
-    """A boundary that wanders."""
+    """Simulate a boundary that wanders."""
     line = gaussian_filter1d(rng.normal(size=size), rng.uniform(8, 40), mode="wrap")
     line = size / 2 + rng.uniform(0.02, 0.1) * size * line / line.std()
     side = np.arange(size) > line[:, None]
@@ -96,7 +96,7 @@ def wavy_edge(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def wedge(rng: np.random.Generator, size: int) -> np.ndarray:
-    """A band of another sediment."""
+    """Simulate a band of another sediment."""
     turn, row, column = rng.uniform(0, np.pi), *np.indices((size, size)) - size / 2
     place = row * np.sin(turn) + column * np.cos(turn) - rng.uniform(-0.3, 0.3) * size
     inside = np.abs(place) < rng.uniform(0.03, 0.2) * size
@@ -182,11 +182,9 @@ def main() -> None:
             seconds = np.median([s for _, s in results])
             wanted = "found" if kind == "weak_ripples" else "false alarms"
             which = [i for i, r in enumerate(rippled) if r == (kind != "weak_ripples")][:8]
-            note = f"   seeds {which}" if which else ""
-            print(
-                f"{kind:14s} {100 * np.mean(rippled):6.2f} % {wanted:12s} {seconds:.3f} s/clip{note}",
-                flush=True,
-            )
+            note = f"   not so: seeds {which}" if which else ""
+            share = f"{100 * np.mean(rippled):6.2f} % {wanted:12s}"
+            print(f"{kind:14s} {share} {seconds:.3f} s/clip{note}", flush=True)
 
 
 if __name__ == "__main__":

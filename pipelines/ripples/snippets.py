@@ -40,7 +40,7 @@ def clip_of(amplitude: np.ndarray, row: int = 0, column: int = 0) -> Clip:
 
 
 def line(posterior: Posterior) -> str:
-    """What an estimate found, in pixels."""
+    """Say what an estimate found, in pixels."""
     text = f"{posterior.quality.label:16s} P {posterior.probability:5.3f}"
     if not posterior.sampled:
         return text

@@ -26,10 +26,12 @@ FloatArray = NDArray[np.float64]
 # A clip must hold this many wavelengths, and a wavelength this many pixels, to show a ripple.
 MIN_WAVES = 3.5
 MIN_PIXELS = 4.0
-FALSE_ALARM = 1e-5
+FALSE_ALARM = 1e-8
 # Boxes of the spectrum (bins a side) over which bent crests may spread: independent bins in them
 # after a Hann taper, and how far above the spectrum around it each must stand.
 BOXES = ((1, 1.0, 16.0), (3, 3.5, 8.5), (7, 15.0, 4.5))
+# Share of that which is as likely a ripple as not.
+ENOUGH = 0.7
 # Waves as long as this share of the clip must stand as far above it as a single bin: there trends
 # and edges have their power.
 LONG_WAVES, LONG_PEAK = 7.0, 16.0
@@ -244,7 +246,7 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
 def _probability(chance: float, strength: float, extent: float) -> float:
     """Probability of a ripple: of its peak against chance, its strength and its extent."""
     odds = FALSE_ALARM / max(chance, 1e-12)
-    gates = [1 / (1 + np.exp(-s)) for s in (16 * (strength - 1), 6 * (extent - MIN_EXTENT))]
+    gates = [1 / (1 + np.exp(-s)) for s in (16 * (strength - ENOUGH), 6 * (extent - MIN_EXTENT))]
     return float(odds / (1 + odds) * np.prod(gates))
 
 
