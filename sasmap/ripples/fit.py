@@ -17,7 +17,7 @@ from scipy.fft import rfft2
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.fold import PROFILES, fold, fold_plan, turn_across
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import SIZE, FoldData, PriorData, pulses
+from sasmap.ripples.kernel import SIZE, FoldData, PriorData, log_likelihood, pulses
 from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.phase import (
     STRAIGHT,
@@ -41,8 +41,9 @@ FloatArray = NDArray[np.float64]
 
 # What a field must explain beyond straight crests, of what these explain and in log likelihood.
 FIELD_GAIN, FIELD_MARGIN = 0.004, 10.0
-# What another profile must explain beyond a sine, in the same terms.
-PROFILE_GAIN, PROFILE_MARGIN = 0.002, 10.0
+# What another profile must explain beyond a sine: in the same terms, and of what a sine leaves
+# unexplained.
+PROFILE_GAIN, PROFILE_MARGIN, PROFILE_SHARE = 0.002, 10.0, 0.3
 # Variation of the ratio of image and model, over several wavelengths, that makes a trend (rms).
 TREND_RMS = 0.05
 REFOLD = 0.002  # cycles over a block
@@ -182,7 +183,9 @@ def _with_profile(task: Task, fit: Fit) -> Fit:
         data = fit.data._replace(profile=PROFILES[name], table=shadow_table(rule, name))
         fits.append(_climbed(task, fit.phase, fit.trend, data, name))
     best = max(fits, key=lambda f: f.level)
-    enough = best.level > fit.level + PROFILE_MARGIN + PROFILE_GAIN * _explained(fit)
+    missed = 0.5 * (dispersion(fit) - 1) * float((fit.data.total > 0).sum())
+    least = PROFILE_MARGIN + PROFILE_GAIN * _explained(fit) + PROFILE_SHARE * max(missed, 0)
+    enough = best.level > fit.level + least
     return best if wanted != "auto" or enough else fit
 
 
@@ -199,9 +202,29 @@ def _with_residuals(task: Task, fit: Fit) -> Fit:
         ratio = residual(task.image, fit)
     factor = 1.0
     if task.settings.speckle == "measured":
-        factor = noise_factor(task.image, fit.phase, ratio)
-    data = fit.data._replace(power=1 / factor, wave_precision=fit.data.wave_precision / factor)
+        factor = max(noise_factor(task.image, fit.phase, ratio), dispersion(fit))
+    data = fit.data._replace(power=1 / factor)
+    if fit.phase.rigid:  # a field's wave is as uncertain as its wander makes it
+        data = data._replace(wave_precision=data.wave_precision / factor)
     return fit._replace(data=data, trended=trended, noise_factor=factor)
+
+
+def dispersion(fit: Fit) -> float:
+    """Deviance of a fit over its degrees of freedom: what no ripple of the model's kind explains.
+
+    Parameters
+    ----------
+    fit : Fit
+        With a likelihood of independent speckle.
+
+    Returns
+    -------
+    float
+        Near 1 where the model is true.
+    """
+    phases_aside = fit.data._replace(wave_precision=np.zeros(2))
+    filled = float((fit.data.total > 0).sum())
+    return float(1 - 2 * log_likelihood(fit.theta, phases_aside) / filled)
 
 
 def residual(image: Image, fit: Fit) -> FloatArray:

@@ -44,6 +44,9 @@ EDGE_PIXELS = 1.5
 STRIPS = 8
 HARMONICS = 3
 PROFILES: dict[ProfileName, int] = {"sine": SINE, "stokes": STOKES, "peaked": PEAKED}
+# Blurs, rad: of straight crests at most a thirtieth of a wave; of a field, whose model would turn
+# from all lit to dark at a point without some, no more than leaves a pulse.
+STRAIGHT_BLURS, FIELD_BLURS = (1e-3, 0.2), (0.12, 1.5)
 # Half-widths of bins and blocks never vanish: a point would make the likelihood a step.
 MIN_HALF = 1e-3
 
@@ -192,6 +195,7 @@ def fold(
         shadow_table(shadow or "line-of-sight", profile),
         MAX_STEEPNESS,
         np.array([np.log(phase.blur), 1 / phase.blur_sd**2]),
+        np.log(STRAIGHT_BLURS if phase.rigid else FIELD_BLURS),
         1 / noise_factor,
         PROFILES[profile],
         0 if shadow is None else 2 if shadow == "crest" else 1,

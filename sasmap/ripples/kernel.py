@@ -39,9 +39,6 @@ BIN = 2.0 * np.pi / BINS
 # Receiver noise: about 20 dB below the sea floor, give or take a factor of e^2.
 NOISE_MEAN, NOISE_SD = float(np.log(0.01)), 2.0
 NOISE_BOUNDS = (float(np.log(1e-6)), float(np.log(10.0)))
-# Blurs, rad: of straight crests at most a thirtieth of a wave; of fields, short of no pulse.
-BLUR_BOUNDS = (float(np.log(1e-3)), float(np.log(1.5)))
-STRAIGHT_BLUR = float(np.log(0.2))
 # With a phase field the fundamental's phase is the field's, to this standard deviation, rad.
 PHASE_SD = 0.1
 SINE, STOKES, PEAKED = 0, 1, 2
@@ -101,8 +98,8 @@ class FoldData(NamedTuple):
         Of :func:`sasmap.ripples.shadow.shadow_table`.
     table_steepness : float
         Its largest steepness.
-    blur : ndarray (2,)
-        Mean of the log of the blur, and its precision.
+    blur, blur_bounds : ndarray (2,)
+        Mean of the log of the blur, and its precision; least and largest.
     power : float
         One over the noise factor.
     profile, shadow, field : int
@@ -138,6 +135,7 @@ class FoldData(NamedTuple):
     table: FloatArray
     table_steepness: float
     blur: FloatArray
+    blur_bounds: FloatArray
     power: float
     profile: int
     shadow: int
@@ -188,8 +186,7 @@ def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
     if np.cos(theta[2] - data.look) <= 0.0:  # the same sea floor, looked at the other way round
         return -np.inf
     value = -0.5 * ((theta[4] - NOISE_MEAN) / NOISE_SD) ** 2
-    highest = BLUR_BOUNDS[1] if data.field == 1 else STRAIGHT_BLUR
-    if not (BLUR_BOUNDS[0] <= theta[5] <= highest):
+    if not (data.blur_bounds[0] <= theta[5] <= data.blur_bounds[1]):
         return -np.inf
     value -= 0.5 * (theta[5] - data.blur[0]) ** 2 * data.blur[1]
     if data.field == 1:

@@ -35,7 +35,7 @@ STRAIGHT = 0.985
 # Local amplitude, over that of the clip's rippled part, of places without ripples.
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
-FULL = 0.9
+FULL = 0.8
 MAX_ROUNDS = 8
 # What straight crests stray, rad, and how well its log is known.
 BLUR, BLUR_SD = 0.02, 1.0
@@ -411,7 +411,7 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
     weight = np.where(covered, boxes.count, 0.0)
     product = even * np.conj(odd)
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
-    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.03, 1.2))
+    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.15, 1.2))
     mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear)
     variation = _variation(image, boxes, _unit(both), weight, mean)
     field = _unit(both)

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.kernel import (
-    BLUR_BOUNDS,
     NOISE_BOUNDS,
     SIZE,
-    STRAIGHT_BLUR,
     FoldData,
     PriorData,
     climb,
@@ -68,7 +66,7 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
         frequency = spot[0]
     phases, blurs = 2 * np.pi * np.arange(PHASES) / PHASES, data.blur[:1]
     if data.field == 1:
-        phases, blurs = np.zeros(1), np.clip(data.blur[0] + np.log(BLURS), *BLUR_BOUNDS)
+        phases, blurs = np.zeros(1), np.clip(data.blur[0] + np.log(BLURS), *data.blur_bounds)
     axes = np.meshgrid(heights(prior), phases, NOISES, blurs, indexing="ij")
     table = np.empty((axes[0].size, SIZE + 1))
     table[:, 0], table[:, 2] = frequency, azimuth
@@ -120,8 +118,7 @@ def cooled_population(
     particles[:, 0] = np.clip(particles[:, 0], f_low, f_high)
     particles[:, 1] = np.abs(particles[:, 1] - h_low) + h_low
     particles[:, 4] = np.clip(particles[:, 4], *NOISE_BOUNDS)
-    highest = BLUR_BOUNDS[1] if data.field == 1 else STRAIGHT_BLUR
-    particles[:, 5] = np.clip(particles[:, 5], BLUR_BOUNDS[0], highest)
+    particles[:, 5] = np.clip(particles[:, 5], *data.blur_bounds)
     bad = ~np.isfinite([log_target(x, data, compiled, 0.0) for x in particles])
     particles[bad] = centres[which[bad]]
     return _cool(particles, data, compiled, rng)

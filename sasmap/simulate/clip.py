@@ -24,7 +24,7 @@ class SimulatedClip(NamedTuple):
     clip : Clip
     wave : ndarray (2,)
         Mean wave vector (east, north), cycles/m: of the plane fitted to the clip's own phase by
-        least squares; NaN without ripples.
+        least squares (with forks, by its local slopes); NaN without ripples.
     height : float
         Median A_H where there are ripples, m.
     rippled_fraction : float
@@ -95,8 +95,28 @@ def _truth(
     base = patch.frequency * np.array([np.sin(turn), np.cos(turn)])
     centre = scene.centre
     plain = 2 * np.pi * (base[0] * (x - centre[0]) + base[1] * (y - centre[1]))
-    rest = (waves.phase - plain - patch.phase)[rippled]
-    design = np.column_stack([x[rippled] - centre[0], y[rippled] - centre[1], np.ones(rest.size)])
-    fit = np.linalg.lstsq(design, rest, rcond=None)[0]
-    wave = base + fit[:2] / (2 * np.pi)
+    rest = waves.phase - plain - patch.phase
+    if patch.forks and rippled.all():
+        turn = _mean_slope(rest) / np.array([x[0, 1] - x[0, 0], y[1, 0] - y[0, 0]])
+    else:
+        design = np.column_stack([x[rippled] - centre[0], y[rippled] - centre[1]])
+        design = np.column_stack([design, np.ones(len(design))])
+        turn = np.linalg.lstsq(design, rest[rippled], rcond=None)[0][:2]
+    wave = base + turn / (2 * np.pi)
     return wave, float(np.median(waves.height[rippled])), float(rippled.mean())
+
+
+def _mean_slope(phase: FloatArray) -> FloatArray:
+    """Slope of the plane fitted to a phase by least squares, rad a column and a row.
+
+    By the local slopes, weighted by a parabola: around a fork the phase itself has a jump somewhere
+    that no sea floor shows.
+    """
+    slopes = []
+    for axis in (1, 0):
+        step = np.diff(np.moveaxis(phase, axis, 0), axis=0)
+        turn = np.angle(np.exp(1j * step))
+        k = np.arange(1, len(turn) + 1)
+        weight = k * (len(turn) + 1 - k)
+        slopes.append(float(np.average(turn.mean(axis=1), weights=weight)))
+    return np.array(slopes)
