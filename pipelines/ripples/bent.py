@@ -84,9 +84,7 @@ def one(seed: int, kind: str, size: int) -> Case:
         return Case(False, int(posterior.quality), nothing, nothing, (False, False), seconds)
     mean, quantiles = posterior.mean, posterior.quantiles
     truth = {"frequency": made.frequency, "height": made.height}
-    covers = [
-        bool(quantiles[n].values[0] <= t <= quantiles[n].values[2]) for n, t in truth.items()
-    ]
+    covers = [bool(quantiles[n].values[0] <= t <= quantiles[n].values[2]) for n, t in truth.items()]
     errors = [float(mean[n]) / t - 1 for n, t in truth.items()]
     return Case(True, int(posterior.quality), *errors, (covers[0], covers[1]), seconds)
 

@@ -46,7 +46,7 @@ HARMONICS = 3
 PROFILES: dict[ProfileName, int] = {"sine": SINE, "stokes": STOKES, "peaked": PEAKED}
 # Blurs, rad: of straight crests at most a thirtieth of a wave; of a field, whose model would turn
 # from all lit to dark at a point without some, no more than leaves a pulse.
-STRAIGHT_BLURS, FIELD_BLURS = (1e-3, 0.2), (0.12, 1.5)
+STRAIGHT_BLURS, FIELD_BLURS = (1e-3, 0.2), (0.07, 1.5)
 # Half-widths of bins and blocks never vanish: a point would make the likelihood a step.
 MIN_HALF = 1e-3
 

@@ -44,6 +44,15 @@ PHASE_SD = 0.1
 SINE, STOKES, PEAKED = 0, 1, 2
 # Slope of the ray, over that at which shadow sets in, within which its edges are found bin by bin.
 ONSET = (0.92, 1.06)
+# Rays of a block that meet shadow, over their range of log slope, and their weights (Gauss and
+# Legendre).
+RAYS = (
+    (0.0469100770, 0.1184634425),
+    (0.2307653449, 0.2393143352),
+    (0.5000000000, 0.2844444444),
+    (0.7692346551, 0.2393143352),
+    (0.9530899230, 0.1184634425),
+)
 # Pixels that count in a bin all in shadow: its level is not the same everywhere to better than
 # about a fourth.
 SHADOW_PIXELS = 16.0
@@ -263,6 +272,13 @@ def _steepest(steepness, profile):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shadow_limit(full, data):  # type: ignore[no-untyped-def]
+    """Slope of the ray over the steepness at which shadow sets in."""
+    limit = data.table[0, 2, 0]
+    return limit * _steepest(full, STOKES) if data.profile == STOKES else limit
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _edges_seen(theta, data, block, farther, full, steepness, edges):  # type: ignore[no-untyped-def]
     """Fill the shadow edges at a log slope of the ray from the block's; return whether any.
 
@@ -307,7 +323,7 @@ def _distance(past, begin, end):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  # type: ignore[no-untyped-def]
-    """Fill s = lit a*^2 + n0 of a block's bins, over the flat sea floor, and the bins' weights.
+    """Fill s = lit a*^2 + n0 of straight crests' bins, over the flat sea floor, and weights.
 
     `offset` is what the ripple's phase is ahead of the bins', `stretch` how that grows along the
     look, rad/m, and `blur` how far (rad) crests stray.
@@ -327,9 +343,7 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
     first_past, last_past = 0.0, 2.0 * np.pi  # phases past the crest beyond which all is lit
     if data.shadow > 0 and steepness > 0.0:
         shadowed = _edges_seen(theta, data, block, 0.0, full, steepness, edges)
-        limit = data.table[0, 2, 0]
-        if data.profile == STOKES:
-            limit *= _steepest(full, STOKES)
+        limit = _shadow_limit(full, data)
         ratio = data.altitude[block] / data.reach[block] / (steepness * limit)
         onset = ONSET[0] < ratio < ONSET[1]  # edges part too fast for a straight line through them
     widen = 3.0 * blur * blur
@@ -345,7 +359,7 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
     cos_offset, sin_offset = np.cos(offset), np.sin(offset)
     weight[:] = 1.0
     for i in range(shape.size):
-        if data.total[block, i] == 0.0 and data.field == 0:
+        if data.total[block, i] == 0.0:
             shape[i] = 1.0  # no pixel asks
             continue
         c = data.cosine[block, i] * cos_offset - data.sine[block, i] * sin_offset
@@ -384,6 +398,43 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
             beyond = min(max((near - half) / data.guard, 0.0), 1.0)
             weight[i] *= data.dither[block, i] + (1.0 - data.dither[block, i]) * beyond * beyond
         shape[i] = value + noise
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def field_intensity(theta, data, block, offset, shape):  # type: ignore[no-untyped-def]
+    """Fill s = lit a*^2 + n0 of a block's bins where crests bend, without the field's error.
+
+    Shadow is averaged over the rays of the block, from the steepest to the lowest.
+    """
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    steepness = full * np.cos(theta[2] - data.look)
+    tilt = np.arctan(steepness * _steepest(full, data.profile))
+    grow = np.exp(tilt * data.tilt[block] / SIGMA_VARIANCE)
+    swing = np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE)) * 0.5 * (grow - 1.0 / grow)
+    hidden = np.zeros(shape.size)
+    edges = np.zeros(8)
+    spread = max(data.spread[block], 1e-6)
+    length = 0.0  # of the part of the rays, by log slope, that meets shadow
+    if data.shadow > 0 and steepness > 0.0:
+        ratio = data.altitude[block] / data.reach[block] / steepness
+        length = min(spread, np.log(_shadow_limit(full, data) / ratio)) + spread
+    for k in range(len(RAYS) if length > 0.0 else 0):
+        farther = RAYS[k][0] * length - spread
+        if not _edges_seen(theta, data, block, farther, full, steepness, edges):
+            continue
+        share = RAYS[k][1] * 0.5 * length / spread
+        for i in range(shape.size):
+            past = data.phase[block, i] + offset - 0.5 * np.pi
+            past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))
+            half = data.half[block, i]
+            hidden[i] += share * _hidden(past, edges[0], edges[1], half, half, 0.0)
+    noise = np.exp(theta[4])
+    cos_offset, sin_offset = np.cos(offset), np.sin(offset)
+    for i in range(shape.size):
+        c = data.cosine[block, i] * cos_offset - data.sine[block, i] * sin_offset
+        s = data.sine[block, i] * cos_offset + data.cosine[block, i] * sin_offset
+        a = max(1.0 + swing * _slope_of(c, s, full, data.profile), 0.0)
+        shape[i] = a * a * (1.0 - hidden[i]) + noise
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -431,9 +482,9 @@ def block_model(theta, data, block, shape, weight, scratch):  # type: ignore[no-
         stretch = 2.0 * np.pi * along
         block_intensity(theta, data, block, offset, stretch, np.exp(theta[5]), shape, weight)
         return 0.0
-    block_intensity(theta, data, block, 0.0, 0.0, 0.0, shape, weight)
+    field_intensity(theta, data, block, 0.0, shape)
     lag = fundamental_lag(shape, data, block)
-    block_intensity(theta, data, block, lag + theta[3], 0.0, 0.0, shape, weight)
+    field_intensity(theta, data, block, lag + theta[3], shape)
     _smeared(shape, np.exp(theta[5]), scratch)
     weight[:] = 1.0
     return lag

@@ -411,7 +411,7 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
     weight = np.where(covered, boxes.count, 0.0)
     product = even * np.conj(odd)
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
-    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.15, 1.2))
+    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.08, 1.2))
     mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear)
     variation = _variation(image, boxes, _unit(both), weight, mean)
     field = _unit(both)
