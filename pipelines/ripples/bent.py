@@ -107,11 +107,12 @@ def main() -> None:
             f, h = (100 * np.abs([getattr(c, n) for c in found]) for n in ("frequency", "height"))
             cover = 100 * np.mean([c.covers for c in found], axis=0)
             good = sum(c.quality == Quality.GOOD for c in found)
+            within = 100 * np.mean(f < 2), 100 * np.mean(h < 15)
             print(
                 f"{kind:9s} {len(cases):5d} {len(found):5d} {good:4d} | "
                 f"{np.median(f):10.2f} {np.quantile(f, 0.9):10.2f} | {np.median(h):6.1f} "
-                f"{np.quantile(h, 0.9):6.1f} | {100 * np.mean(f < 2):4.0f} % {100 * np.mean(h < 15):4.0f} %"
-                f" | {cover[0]:5.0f} {cover[1]:5.0f} | {np.median([c.seconds for c in cases]):.2f}",
+                f"{np.quantile(h, 0.9):6.1f} | {within[0]:4.0f} % {within[1]:4.0f} % | "
+                f"{cover[0]:5.0f} {cover[1]:5.0f} | {np.median([c.seconds for c in cases]):.2f}",
                 flush=True,
             )
 

@@ -27,9 +27,10 @@ from sasmap.ripples.starts import cooled_population, parameters
 
 MIN_PIXELS = 400
 ROUND = 250
-# Pixels to which the image's geometry is good, phase by which a shadow's end moves when its log
+# Pixels to which a shadow's edge can be known where crests run along rows or columns of pixels,
+# whose whole length then shows one place of it, and where they cross them; phase by which a shadow's end moves when its log
 # height does, and share of the local frequency's variation by which a bent clip's A_H is uncertain.
-REGISTRATION, EDGE_TURN, BENT_SHARE = 0.08, 2.0, 0.7
+REGISTRATION, EDGE_TURN, BENT_SHARE = (0.08, 0.02), 2.0, 0.7
 # Steps of each member of the burn-in population before its density is learned again, and by how
 # much it is widened each time: a population too narrow would not find out.
 WALK, WIDENED = 6, (1.5, 1.25, 1.1)
@@ -211,7 +212,7 @@ def _sampled(fit: Fit, task: Task, rng: np.random.Generator) -> tuple[np.ndarray
 def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -> np.ndarray:
     """Widen draws by what no model of an image can vouch for.
 
-    Where a shadow's edge lies is known to a tenth of a pixel at best: so is how far a wave is from
+    Where a shadow's edge lies is known to a part of a pixel at best: so is how far a wave is from
     one end of the clip to the other. Where crests bend, A_H is told by a pulse that places of
     different local frequency share.
 
@@ -229,7 +230,7 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     image, prior = task.image, task.prior
     frequency = float(draws[..., 0].mean())
     length = max(float(np.ptp(fit.data.along)), 1 / frequency)
-    slip = REGISTRATION * image.pixel_size
+    slip = REGISTRATION[0 if fit.data.leak > 0 else 1] * image.pixel_size
     steepness = 2 * np.pi * frequency * draws[..., 1].mean()
     shadowed = task.shadow is not None and steepness > 0.5 * np.min(
         fit.data.altitude / fit.data.reach

@@ -44,6 +44,8 @@ FIELD_GAIN, FIELD_MARGIN = 0.004, 10.0
 # What another profile must explain beyond a sine: in the same terms, and of what a sine leaves
 # unexplained.
 PROFILE_GAIN, PROFILE_MARGIN, PROFILE_SHARE = 0.002, 10.0, 0.3
+# A sine that leaves no more than this unexplained, in standard deviations of its deviance, will do.
+EXPLAINED = 1.0
 # Variation of the ratio of image and model, over several wavelengths, that makes a trend (rms).
 TREND_RMS = 0.05
 REFOLD = 0.002  # cycles over a block
@@ -128,6 +130,13 @@ def _climbed(
     return Fit(phase, trend, data, theta, level, table, profile, False, 1.0)
 
 
+def _with_other_profile(task: Task, fit: Fit, profile: ProfileName) -> Fit:
+    rule = task.shadow or "line-of-sight"
+    data = fit.data._replace(profile=PROFILES[profile], table=shadow_table(rule, profile))
+    theta, level = polished(fit.theta, data, task.compiled)
+    return fit._replace(data=data, theta=theta, level=level, profile=profile)
+
+
 def _best_phase(task: Task, boxes: Boxes) -> Fit:
     flat = np.ones_like(boxes.trend)
     phase = straight(task.image, boxes.wave, boxes)
@@ -176,15 +185,15 @@ def _with_profile(task: Task, fit: Fit) -> Fit:
     wanted = task.settings.profile
     if wanted == fit.profile:
         return fit
+    misfit = dispersion(fit) - 1
+    filled = float((fit.data.total > 0).sum())
+    if wanted == "auto" and misfit * np.sqrt(filled) < EXPLAINED:
+        return fit
     names: tuple[ProfileName, ...] = ("stokes", "peaked") if wanted == "auto" else (wanted,)
-    rule = task.shadow or "line-of-sight"
-    fits = []
-    for name in names:
-        data = fit.data._replace(profile=PROFILES[name], table=shadow_table(rule, name))
-        fits.append(_climbed(task, fit.phase, fit.trend, data, name))
+    fits = [_with_other_profile(task, fit, name) for name in names]
     best = max(fits, key=lambda f: f.level)
-    missed = 0.5 * (dispersion(fit) - 1) * float((fit.data.total > 0).sum())
-    least = PROFILE_MARGIN + PROFILE_GAIN * _explained(fit) + PROFILE_SHARE * max(missed, 0)
+    missed = PROFILE_SHARE * 0.5 * max(misfit, 0) * filled
+    least = PROFILE_MARGIN + PROFILE_GAIN * _explained(fit) + missed
     enough = best.level > fit.level + least
     return best if wanted != "auto" or enough else fit
 
