@@ -28,9 +28,10 @@ from sasmap.ripples.starts import cooled_population, parameters
 MIN_PIXELS = 400
 ROUND = 250
 # Pixels to which a shadow's edge can be known where crests run along rows or columns of pixels,
-# whose whole length then shows one place of it, and where they cross them; phase by which a shadow's end moves when its log
-# height does, and share of the local frequency's variation by which a bent clip's A_H is uncertain.
-REGISTRATION, EDGE_TURN, BENT_SHARE = (0.08, 0.02), 2.0, 0.7
+# whose whole length then shows one place of it, and where they cross them; phase by which a
+# shadow's end moves when its log height does, and share of the local frequency's variation by
+# which a bent clip's A_H is uncertain.
+REGISTRATION, EDGE_TURN, BENT_SHARE = (0.08, 0.05), 2.0, 0.7
 # Steps of each member of the burn-in population before its density is learned again, and by how
 # much it is widened each time: a population too narrow would not find out.
 WALK, WIDENED = 6, (1.5, 1.25, 1.1)

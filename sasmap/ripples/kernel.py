@@ -213,14 +213,23 @@ def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _share(position, half, leak):  # type: ignore[no-untyped-def]
+def _share(position, half, other, leak):  # type: ignore[no-untyped-def]
     """Share of a bin's pixels that lie before a position relative to its centre.
 
-    All but a share `leak` on each side lie evenly within `half`; the rest within a bin more.
+    All but a share `leak` on each side lie as the sum of two even spreads of these half-widths;
+    the rest within a bin more.
     """
-    inside = min(max(0.5 + 0.5 * position / half, 0.0), 1.0)
-    beyond = min(max((abs(position) - half) / BIN, 0.0), 1.0) * leak
-    return leak + (1.0 - 2.0 * leak) * inside + (beyond if position > 0.0 else -beyond)
+    wide, narrow = max(half, other), max(min(half, other), 1e-6)
+    distance = abs(position)
+    tail = 0.0
+    if distance <= wide - narrow:
+        tail = 0.5 - 0.5 * distance / wide
+    elif distance < wide + narrow:
+        tail = (wide + narrow - distance) ** 2 / (8.0 * wide * narrow)
+    if leak > 0.0:
+        beyond = min(max((distance - wide) / BIN, 0.0), 1.0)
+        tail = leak * (1.0 - beyond) + (1.0 - 2.0 * leak) * tail
+    return 1.0 - tail if position > 0.0 else tail
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -303,14 +312,18 @@ def _edges_seen(theta, data, block, farther, full, steepness, edges):  # type: i
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hidden(past, begin, end, first, last, leak):  # type: ignore[no-untyped-def]
-    """Share of a bin in shadow: its phase past the crest, edges, and half-widths at both."""
-    hidden = _share(end - past, last, leak) - _share(begin - past, first, leak)
-    turn, reach = 2.0 * np.pi, max(first, last) + BIN
-    if past < reach:
-        hidden += _share(end - turn - past, last, leak) - _share(begin - turn - past, first, leak)
-    if past > turn - reach:
-        hidden += _share(end + turn - past, last, leak) - _share(begin + turn - past, first, leak)
+def _hidden(past, begin, end, half, first, last, leak):  # type: ignore[no-untyped-def]
+    """Share of a bin in shadow: its phase past the crest, edges, half-widths of it and of both."""
+    hidden = _share(end - past, half, last, leak) - _share(begin - past, half, first, leak)
+    turn, reach = 2.0 * np.pi, half + max(first, last) + BIN
+    for k in range(2):
+        if k == 0 and past < reach:
+            moved = past + turn
+        elif k == 1 and past > turn - reach:
+            moved = past - turn
+        else:
+            continue
+        hidden += _share(end - moved, half, last, leak) - _share(begin - moved, half, first, leak)
     return min(max(hidden, 0.0), 1.0)
 
 
@@ -346,14 +359,14 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
         limit = _shadow_limit(full, data)
         ratio = data.altitude[block] / data.reach[block] / (steepness * limit)
         onset = ONSET[0] < ratio < ONSET[1]  # edges part too fast for a straight line through them
-    widen = 3.0 * blur * blur
-    widen_first = (data.spread[block] * edges[2]) ** 2 + widen
-    widen_last = (data.spread[block] * edges[3]) ** 2 + widen
+    widen = np.sqrt(3.0) * blur
+    first = np.hypot(data.spread[block] * edges[2], widen)
+    last = np.hypot(data.spread[block] * edges[3], widen)
     if onset:
         lowest = data.farther[block].min()
         onset = _edges_seen(theta, data, block, lowest, full, steepness, edges)
         widest = data.half[block].max()
-        margin = np.sqrt(widest * widest + widen) + max(widest + data.guard, BIN)
+        margin = widest + max(widest + data.guard, widen + BIN)
         first_past, last_past = edges[0] - margin, edges[1] + margin
         shadowed = onset
     cos_offset, sin_offset = np.cos(offset), np.sin(offset)
@@ -380,15 +393,12 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
             if onset:
                 farther = data.farther[block, i]
                 if _edges_seen(theta, data, block, farther, full, steepness, edges):
-                    both = np.sqrt(half * half + widen)
-                    hidden = _hidden(past, edges[0], edges[1], both, both, data.leak)
+                    hidden = _hidden(past, edges[0], edges[1], half, widen, widen, data.leak)
                     near = _distance(past, edges[0], edges[1])
             else:
                 farther = data.farther[block, i]
                 begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
-                first = np.sqrt(half * half + widen_first)
-                last = np.sqrt(half * half + widen_last)
-                hidden = _hidden(past, begin, end, first, last, data.leak)
+                hidden = _hidden(past, begin, end, half, first, last, data.leak)
                 near = _distance(past, begin, end)
             value *= 1.0 - hidden
             # of lit and dark pixels together the intensity varies 2 / lit - 1 times as much
@@ -427,7 +437,7 @@ def field_intensity(theta, data, block, offset, shape):  # type: ignore[no-untyp
             past = data.phase[block, i] + offset - 0.5 * np.pi
             past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))
             half = data.half[block, i]
-            hidden[i] += share * _hidden(past, edges[0], edges[1], half, half, 0.0)
+            hidden[i] += share * _hidden(past, edges[0], edges[1], half, 0.0, 0.0, 0.0)
     noise = np.exp(theta[4])
     cos_offset, sin_offset = np.cos(offset), np.sin(offset)
     for i in range(shape.size):
