@@ -4,7 +4,7 @@
 
 Every clip has its own survey prior: a wavelength of 0.2 to 5 m, A_H of 0.005 to 0.3 m, a crest
 normal in any direction, ranges of 5 to 150 m, altitudes of 3 to 20 m. Its truth is drawn from that
-prior, and the estimate is given the same prior. A clip holds 6 to 16 wavelengths of 12 to 30
+prior, and the estimate is given the same prior; receiver noise from the estimator's own. A clip holds 6 to 16 wavelengths of 12 to 30
 pixels. Ranks are of the truth among the draws; the band is that of the ECDF of as many uniform
 ranks. Rows on scenes that are not as the model says are there to show what happens.
 """
@@ -69,6 +69,7 @@ def simulated(row: str, prior: Prior, azimuth: float, rng: np.random.Generator):
     side = round(rng.uniform(6, 16) / frequency / pixel)
     near = np.exp(rng.uniform(np.log(5), np.log(150)))
     altitude = rng.uniform(3, 20)
+    noise = float(np.exp(min(rng.normal(np.log(0.01), 2.0), 2.0)))  # the estimator's own prior
     if row == "wavy":
         length = side * pixel
         origin = (500000.0, 3300000.0)
@@ -114,6 +115,7 @@ def simulated(row: str, prior: Prior, azimuth: float, rng: np.random.Generator):
         nu=4.0 if row == "k" else float("inf"),
         correlation=0.7 if row == "k" else 0.0,
         lambert=row == "lambert",
+        noise=noise,
     )
     return clip, (frequency, height, azimuth)
 

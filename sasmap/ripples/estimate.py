@@ -27,11 +27,12 @@ from sasmap.ripples.starts import cooled_population, parameters
 
 MIN_PIXELS = 400
 ROUND = 250
-# Pixels to which a shadow's edge can be known where crests run along rows or columns of pixels,
-# whose whole length then shows one place of it, and where they cross them; phase by which a
-# shadow's end moves when its log height does, and share of the local frequency's variation by
-# which a bent clip's A_H is uncertain.
-REGISTRATION, EDGE_TURN, BENT_SHARE = (0.08, 0.05), 2.0, 0.7
+# Pixels by which a wave may be off from one end of a clip to the other, and by which A_H's effect
+# on where shadow ends may: where crests run along rows or columns of pixels, whose whole length
+# then shows one place of an edge, and where they cross them.
+WAVE_SLIP, HEIGHT_SLIP = (0.08, 0.06), (0.04, 0.012)
+# Share of the local frequency's variation by which a bent clip's A_H is uncertain.
+BENT_SHARE = 0.7
 # Steps of each member of the burn-in population before its density is learned again, and by how
 # much it is widened each time: a population too narrow would not find out.
 WALK, WIDENED = 6, (1.5, 1.25, 1.1)
@@ -231,12 +232,14 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     image, prior = task.image, task.prior
     frequency = float(draws[..., 0].mean())
     length = max(float(np.ptp(fit.data.along)), 1 / frequency)
-    slip = REGISTRATION[0 if fit.data.leak > 0 else 1] * image.pixel_size
+    crossed = 0 if fit.data.leak > 0 else 1
+    slip = WAVE_SLIP[crossed] * image.pixel_size
     steepness = 2 * np.pi * frequency * draws[..., 1].mean()
     shadowed = task.shadow is not None and steepness > 0.5 * np.min(
         fit.data.altitude / fit.data.reach
     )
-    height = 2 * np.pi * frequency * slip / EDGE_TURN if shadowed else 0.0
+    edge = 2 * np.pi * frequency * HEIGHT_SLIP[crossed] * image.pixel_size
+    height = edge if shadowed else 0.0
     height = np.hypot(height, BENT_SHARE * fit.phase.variation)
     turn = slip / length
     # a prior holds what it knows better: doubt about the image adds nothing to that
