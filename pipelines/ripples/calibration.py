@@ -4,9 +4,10 @@
 
 Every clip has its own survey prior: a wavelength of 0.2 to 5 m, A_H of 0.005 to 0.3 m, a crest
 normal in any direction, ranges of 5 to 150 m, altitudes of 3 to 20 m. Its truth is drawn from that
-prior, and the estimate is given the same prior; receiver noise from the estimator's own. A clip holds 6 to 16 wavelengths of 12 to 30
-pixels. Ranks are of the truth among the draws; the band is that of the ECDF of as many uniform
-ranks. Rows on scenes that are not as the model says are there to show what happens.
+prior, and the estimate is given the same prior; receiver noise is drawn from the estimator's own.
+A clip holds 6 to 16 wavelengths of 12 to 30 pixels. Ranks are of the truth among the draws; the
+band is that of the ECDF of as many uniform ranks. Rows on scenes that are not as the model says are
+there to show what happens.
 """
 
 from __future__ import annotations

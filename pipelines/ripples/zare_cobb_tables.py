@@ -1,6 +1,7 @@
 """Mean squared errors of f and A_H on the clips of Zare and Cobb's tables 1 to 3.
 
-    python pipelines/zare_cobb_tables.py [--clips 50] [--method default|zare-cobb] [--shadow RULE]
+    python pipelines/ripples/zare_cobb_tables.py [--clips 50] [--shadow RULE]
+                                                 [--method default|zare-cobb]
 
 Each entry simulates that many clips of Rayleigh speckle over straight sine ripples (ZC 4.1) and
 estimates them with everything unknown. The shadow rule is the same in simulation and estimate.

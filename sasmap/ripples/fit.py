@@ -16,8 +16,9 @@ from scipy.fft import rfft2
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.fold import PROFILES, fold, fold_plan, turn_across
+from sasmap.ripples.folded import FoldData, PriorData
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import SIZE, FoldData, PriorData, log_likelihood, pulses
+from sasmap.ripples.kernel import SIZE, log_likelihood, pulses
 from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.phase import (
     STRAIGHT,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
+from sasmap.ripples.folded import FoldData
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import BINS, PEAKED, SINE, STOKES, FoldData
+from sasmap.ripples.kernel import BINS, PEAKED, SINE, STOKES
 from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.pixels import (
     ALONG,
@@ -125,82 +127,123 @@ def fold(
     leak = min((footprint * BINS) ** 2 / 16, 0.25) if columns else 0.0
     if columns:
         sums = _footprints(sums, leak)
-    count = np.maximum(sums[COUNT], 1)
-    weight = places[0]
-    typical = (places.sum(axis=1) / weight.sum())[1:, None]
-
-    def per_block(total: FloatArray, otherwise: FloatArray) -> FloatArray:
-        return np.where(weight > 0, total / np.maximum(weight, 1), otherwise)
-
-    along, across, reach, altitude = per_block(places[1:], typical)
-
-    def mean(k: int) -> FloatArray:
-        total = sums[k].sum(axis=1)
-        return per_block(total, total.sum() / weight.sum())
-
-    slope, tilt = mean(LOG_SLOPE), mean(TILT)
+    count, filled = np.maximum(sums[COUNT], 1), sums[COUNT] > 0
+    blocks = _blocks(sums, places)
     gains = gain_blocks(phase, image.look, plan.width * plan.blocks)
     group = np.arange(plan.blocks) // (plan.blocks // gains)
-    flat = (np.bincount(group, sums[FLAT].sum(axis=1)) / np.bincount(group, weight + 1e-9))[group]
-    filled = sums[COUNT] > 0
-    centre = (np.arange(BINS) + 0.5) / BINS
-    spread2 = np.maximum(sums[LOG_SLOPE2] / count - (sums[LOG_SLOPE] / count) ** 2, 0)
-    spread = np.sqrt(per_block((spread2 * sums[COUNT]).sum(axis=1), np.zeros(1)))
-    if phase.rigid:
-        offset = sums[PHASE] / count
-        half = np.sqrt(3 * np.maximum(sums[PHASE2] / count - offset**2, 0))
-        angle = 2 * np.pi * (centre + offset)
-        ahead = np.where(filled, sums[ALONG] / count - along[:, None], 0)
-        farther = np.where(filled, sums[LOG_SLOPE] / count - slope[:, None], 0)
-        steeper = np.where(filled, sums[TILT] / count - tilt[:, None], 0)
-        level = np.where(filled, sums[FLAT] / count / np.maximum(flat[:, None], 1e-9), 1.0)
-    else:
-        half = np.full(filled.shape, 0.5 / BINS)
-        angle = np.broadcast_to(2 * np.pi * centre, filled.shape).copy()
-        ahead = farther = steeper = np.zeros_like(angle)
-        level = np.ones_like(angle)
-        spread = np.sqrt(np.maximum(mean(LOG_SLOPE2) - slope**2, 0))
+    bins = _bins(sums, blocks, group) if phase.rigid else _even_bins(sums, blocks)
     dither = np.minimum(EDGE_PIXELS * np.maximum(parts, 1) / count + (parts / DITHER) ** 4, 1.0)
     known, total = sums[KNOWN], sums[TOTAL] + DYNAMIC_RANGE * sums[COUNT]
     ratio = np.where(filled, total / np.maximum(known, 1), 1.0)
     look = image.look
     right = np.array([look[1], -look[0]])
     return FoldData(
-        known,
-        total,
-        np.log(ratio),
-        angle,
-        2 * np.pi * np.maximum(half, MIN_HALF),
-        np.cos(angle),
-        np.sin(angle),
-        ahead,
-        farther,
-        steeper,
-        level,
-        dither,
-        leak,
-        2 * np.pi * (2.5 if columns else 0.5) * footprint,
-        reach,
-        altitude,
-        tilt,
-        np.sqrt(3) * spread,
-        along,
-        across,
-        group,
-        _line_weights(along, weight),
-        np.array([phase.wave @ look, phase.wave @ right]),
-        phase.mean_wave,
-        1 / phase.wave_sd**2,
-        float(np.radians(image.azimuth)),
-        shadow_table(shadow or "line-of-sight", profile),
-        MAX_STEEPNESS,
-        np.array([np.log(phase.blur), 1 / phase.blur_sd**2]),
-        np.log(STRAIGHT_BLURS if phase.rigid else FIELD_BLURS),
-        1 / noise_factor,
-        PROFILES[profile],
-        0 if shadow is None else 2 if shadow == "crest" else 1,
-        int(not phase.rigid),
+        pixels=known,
+        total=total,
+        log_mean=np.log(ratio),
+        phase=bins.angle,
+        half=2 * np.pi * np.maximum(bins.half, MIN_HALF),
+        cosine=np.cos(bins.angle),
+        sine=np.sin(bins.angle),
+        ahead=bins.ahead,
+        farther=bins.farther,
+        steeper=bins.steeper,
+        flat=bins.flat,
+        dither=dither,
+        leak=leak,
+        guard=2 * np.pi * (2.5 if columns else 0.5) * footprint,
+        reach=blocks.reach,
+        altitude=blocks.altitude,
+        tilt=blocks.tilt,
+        spread=np.sqrt(3) * bins.spread,
+        along=blocks.along,
+        across=blocks.across,
+        group=group,
+        lagging=_line_weights(blocks.along, blocks.weight),
+        base=np.array([phase.wave @ look, phase.wave @ right]),
+        wave=phase.mean_wave,
+        wave_precision=1 / phase.wave_sd**2,
+        look=float(np.radians(image.azimuth)),
+        table=shadow_table(shadow or "line-of-sight", profile),
+        table_steepness=MAX_STEEPNESS,
+        blur=np.array([np.log(phase.blur), 1 / phase.blur_sd**2]),
+        blur_bounds=np.log(STRAIGHT_BLURS if phase.rigid else FIELD_BLURS),
+        power=1 / noise_factor,
+        profile=PROFILES[profile],
+        shadow=0 if shadow is None else 2 if shadow == "crest" else 1,
+        field=int(not phase.rigid),
     )
+
+
+class _Blocks(NamedTuple):
+    """Number of pixels of blocks and means over them (blocks,)."""
+
+    weight: FloatArray
+    along: FloatArray
+    across: FloatArray
+    reach: FloatArray
+    altitude: FloatArray
+    slope: FloatArray
+    slope2: FloatArray
+    tilt: FloatArray
+
+
+class _Bins(NamedTuple):
+    """Means over the pixels of bins (blocks, bins); spread of log slope in a block (blocks,)."""
+
+    angle: FloatArray
+    half: FloatArray
+    ahead: FloatArray
+    farther: FloatArray
+    steeper: FloatArray
+    flat: FloatArray
+    spread: FloatArray
+
+
+def _blocks(sums: FloatArray, places: FloatArray) -> _Blocks:
+    """Means over blocks; over the clip for those without a pixel."""
+    weight = places[0]
+
+    def mean(total: FloatArray) -> FloatArray:
+        return np.asarray(
+            np.where(weight > 0, total / np.maximum(weight, 1), total.sum() / weight.sum())
+        )
+
+    along, across, reach, altitude = (mean(total) for total in places[1:])
+    slope, slope2, tilt = (mean(sums[k].sum(axis=1)) for k in (LOG_SLOPE, LOG_SLOPE2, TILT))
+    return _Blocks(weight, along, across, reach, altitude, slope, slope2, tilt)
+
+
+def _bins(sums: FloatArray, blocks: _Blocks, group: NDArray[np.int64]) -> _Bins:
+    """Bins of straight crests: each has its own phase, place and ray."""
+    filled, count = sums[COUNT] > 0, np.maximum(sums[COUNT], 1)
+    offset = sums[PHASE] / count
+    flat = np.bincount(group, sums[FLAT].sum(axis=1)) / np.bincount(group, blocks.weight + 1e-9)
+    flat = flat[group][:, None]
+    variance = np.maximum(sums[LOG_SLOPE2] / count - (sums[LOG_SLOPE] / count) ** 2, 0)
+    within = (variance * sums[COUNT]).sum(axis=1) / np.maximum(blocks.weight, 1)
+
+    def beyond(k: int, place: FloatArray) -> FloatArray:
+        return np.where(filled, sums[k] / count - place[:, None], 0)
+
+    return _Bins(
+        2 * np.pi * ((np.arange(BINS) + 0.5) / BINS + offset),
+        np.sqrt(3 * np.maximum(sums[PHASE2] / count - offset**2, 0)),
+        beyond(ALONG, blocks.along),
+        beyond(LOG_SLOPE, blocks.slope),
+        beyond(TILT, blocks.tilt),
+        np.where(filled, sums[FLAT] / count / np.maximum(flat, 1e-9), 1.0),
+        np.sqrt(within),
+    )
+
+
+def _even_bins(sums: FloatArray, blocks: _Blocks) -> _Bins:
+    """Bins of bent crests: an even grid of phase, each with its whole block's rays."""
+    shape = sums[COUNT].shape
+    angle = np.broadcast_to(2 * np.pi * (np.arange(BINS) + 0.5) / BINS, shape).copy()
+    spread = np.sqrt(np.maximum(blocks.slope2 - blocks.slope**2, 0))
+    none = np.zeros(shape)
+    return _Bins(angle, np.full(shape, 0.5 / BINS), none, none, none, np.ones(shape), spread)
 
 
 def _footprints(sums: FloatArray, side: float) -> FloatArray:

@@ -13,24 +13,15 @@ A saturated pixel adds to the sum alone: its intensity is known to be at least t
 is raised to the power of one over the noise factor, by which correlated and textured speckle says
 less than as many independent pixels.
 
-Parameters theta, in this order: f (cycles/m), A_H (m), azimuth of the crest normal (rad), phase,
-log n0 (noise floor over the flat sea floor's intensity), log of the blur (rad). The phase is the
-ripple's at the clip's centre, relative to that of the fold (rad); with a phase field, whose phase
-is that of the image's fundamental, what is left of it. The blur is by how much crests stray from
-the fold's phase: with a field its error, else what little straight crests stray.
+The parameters theta are those of :mod:`sasmap.ripples.folded`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from sasmap.ripples.scattering import SIGMA_VARIANCE
-
-FloatArray = NDArray[np.float64]
 
 SIZE = 6
 # Bins of phase in a block, and the width of one, rad.
@@ -46,13 +37,8 @@ SINE, STOKES, PEAKED = 0, 1, 2
 ONSET = (0.92, 1.06)
 # Rays of a block that meet shadow, over their range of log slope, and their weights (Gauss and
 # Legendre).
-RAYS = (
-    (0.0469100770, 0.1184634425),
-    (0.2307653449, 0.2393143352),
-    (0.5000000000, 0.2844444444),
-    (0.7692346551, 0.2393143352),
-    (0.9530899230, 0.1184634425),
-)
+RAYS = (0.0469100770, 0.2307653449, 0.5, 0.7692346551, 0.9530899230)
+RAY_WEIGHTS = (0.1184634425, 0.2393143352, 0.2844444444, 0.2393143352, 0.1184634425)
 # Pixels that count in a bin all in shadow: its level is not the same everywhere to better than
 # about a fourth.
 SHADOW_PIXELS = 16.0
@@ -61,127 +47,6 @@ SHADOW_PIXELS = 16.0
 LOCAL, NUISANCE = 0.25, 0.15
 # Degrees of freedom of the kernels: with SIZE 6 their density is an inverse seventh power.
 STUDENT = 8.0
-
-
-class FoldData(NamedTuple):
-    """What the compiled likelihood reads: arrays (blocks, bins) of phase or (blocks,).
-
-    Attributes
-    ----------
-    pixels, total : ndarray (blocks, bins)
-        Pixels that are not saturated, and sum of intensity over the clip's mean.
-    log_mean : ndarray (blocks, bins)
-        Log of total over pixels: bins that weigh less than others must be compared with a perfect
-        model of themselves.
-    phase, half : ndarray (blocks, bins)
-        Mean phase of a bin's pixels and half the width over which they lie, rad.
-    cosine, sine : ndarray (blocks, bins)
-        Of that phase.
-    ahead : ndarray (blocks, bins)
-        Mean place along the look from the block's, m.
-    farther, steeper, flat : ndarray (blocks, bins)
-        Relative to the block: log of the ray's slope, tilt (below), and flat sea floor's intensity.
-    dither : ndarray (blocks, bins)
-        Weight of a bin that a shadow's edge crosses.
-    leak : float
-        Share of a bin's pixels that lie beyond its width on each side.
-    guard : float
-        Phase beyond a shadow's edge over which that weight grows to 1, rad.
-    reach, altitude, tilt : ndarray (blocks,)
-        Ground range and altitude, m, and pi/2 less the grazing angle, rad.
-    spread : ndarray (blocks,)
-        Half the width of log slope within a block at one phase.
-    along, across : ndarray (blocks,)
-        Mean place from the clip's centre along and across the look, m.
-    group : ndarray of int (blocks,)
-        Blocks, in order, that share a gain.
-    lagging : ndarray (blocks,)
-        Weights with which a straight line is fitted to a block's values, 1/m.
-    base : ndarray (2,)
-        Wave vector of the fold along and across the look, cycles/m.
-    wave, wave_precision : ndarray (2,)
-        What the phases alone say about that wave vector, and its precision, (m/cycle)^2.
-    look : float
-        Azimuth of the look, rad.
-    table : ndarray
-        Of :func:`sasmap.ripples.shadow.shadow_table`.
-    table_steepness : float
-        Its largest steepness.
-    blur, blur_bounds : ndarray (2,)
-        Mean of the log of the blur, and its precision; least and largest.
-    power : float
-        One over the noise factor.
-    profile, shadow, field : int
-        Which profile; whether shadow falls (2 by the crest rule); whether there is a phase field.
-    """
-
-    pixels: FloatArray
-    total: FloatArray
-    log_mean: FloatArray
-    phase: FloatArray
-    half: FloatArray
-    cosine: FloatArray
-    sine: FloatArray
-    ahead: FloatArray
-    farther: FloatArray
-    steeper: FloatArray
-    flat: FloatArray
-    dither: FloatArray
-    leak: float
-    guard: float
-    reach: FloatArray
-    altitude: FloatArray
-    tilt: FloatArray
-    spread: FloatArray
-    along: FloatArray
-    across: FloatArray
-    group: NDArray[np.int64]
-    lagging: FloatArray
-    base: FloatArray
-    wave: FloatArray
-    wave_precision: FloatArray
-    look: float
-    table: FloatArray
-    table_steepness: float
-    blur: FloatArray
-    blur_bounds: FloatArray
-    power: float
-    profile: int
-    shadow: int
-    field: int
-
-
-class PriorData(NamedTuple):
-    """Truncated Gaussian of (f, A_H, azimuth) as the compiled code reads it."""
-
-    mean: FloatArray
-    precision: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-
-
-class Proposal(NamedTuple):
-    """A frozen proposal: the density of a burn-in population, and steps between its members.
-
-    Attributes
-    ----------
-    members : ndarray (n, SIZE)
-        The population.
-    white : ndarray (n, SIZE)
-        Centres of the kernels: the same, less `centre`, in units of `factor`, and drawn together
-        so that kernels do not widen the whole.
-    centre : ndarray (SIZE,)
-    factor : ndarray (SIZE, SIZE)
-        Lower Cholesky factor of the population's covariance.
-    width : float
-        Of the kernel that each member is spread by, in units of `factor`.
-    """
-
-    members: FloatArray
-    white: FloatArray
-    centre: FloatArray
-    factor: FloatArray
-    width: float
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -203,12 +68,8 @@ def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
     for i in range(3):
         for j in range(3):
             if prior.precision[i, j] != 0.0:
-                value -= (
-                    0.5
-                    * (theta[i] - prior.mean[i])
-                    * prior.precision[i, j]
-                    * (theta[j] - prior.mean[j])
-                )
+                product = (theta[i] - prior.mean[i]) * (theta[j] - prior.mean[j])
+                value -= 0.5 * prior.precision[i, j] * product
     return value
 
 
@@ -281,6 +142,15 @@ def _steepest(steepness, profile):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _swing(full, steepness, data, block):  # type: ignore[no-untyped-def]
+    """Relative amplitude of a block's steepest slope, and its change with the ray's tilt (ZC 5)."""
+    tilt = np.arctan(steepness * _steepest(full, data.profile))
+    damping = 0.5 * np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE))
+    grow = np.exp(tilt * data.tilt[block] / SIGMA_VARIANCE)
+    return damping * (grow - 1.0 / grow), damping * (grow + 1.0 / grow) * tilt / SIGMA_VARIANCE
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _shadow_limit(full, data):  # type: ignore[no-untyped-def]
     """Slope of the ray over the steepness at which shadow sets in."""
     limit = data.table[0, 2, 0]
@@ -344,12 +214,9 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
     along = np.cos(theta[2] - data.look)
     full = 2.0 * np.pi * theta[0] * theta[1]
     steepness = full * along
-    tilt = np.arctan(steepness * _steepest(full, data.profile))
-    damping = np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE))
-    damping *= np.exp(-0.5 * blur * blur)
-    grow = np.exp(tilt * data.tilt[block] / SIGMA_VARIANCE)
-    swing = damping * 0.5 * (grow - 1.0 / grow)
-    change = damping * 0.5 * (grow + 1.0 / grow) * tilt / SIGMA_VARIANCE
+    swing, change = _swing(full, steepness, data, block)
+    damping = np.exp(-0.5 * blur * blur)
+    swing, change = damping * swing, damping * change
     noise = np.exp(theta[4])
     edges = np.zeros(8)
     shadowed, onset = False, False
@@ -370,8 +237,8 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
         first_past, last_past = edges[0] - margin, edges[1] + margin
         shadowed = onset
     cos_offset, sin_offset = np.cos(offset), np.sin(offset)
-    weight[:] = 1.0
     for i in range(shape.size):
+        weight[i] = 1.0
         if data.total[block, i] == 0.0:
             shape[i] = 1.0  # no pixel asks
             continue
@@ -388,16 +255,14 @@ def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  
             if past < first_past or past > last_past:
                 shape[i] = value + noise
                 continue
-            half = data.half[block, i]
+            half, farther = data.half[block, i], data.farther[block, i]
+            begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
             hidden, near = 0.0, np.inf
+            seen = True
             if onset:
-                farther = data.farther[block, i]
-                if _edges_seen(theta, data, block, farther, full, steepness, edges):
-                    hidden = _hidden(past, edges[0], edges[1], half, widen, widen, data.leak)
-                    near = _distance(past, edges[0], edges[1])
-            else:
-                farther = data.farther[block, i]
-                begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
+                seen = _edges_seen(theta, data, block, farther, full, steepness, edges)
+                begin, end, first, last = edges[0], edges[1], widen, widen
+            if seen:
                 hidden = _hidden(past, begin, end, half, first, last, data.leak)
                 near = _distance(past, begin, end)
             value *= 1.0 - hidden
@@ -418,9 +283,7 @@ def field_intensity(theta, data, block, offset, shape):  # type: ignore[no-untyp
     """
     full = 2.0 * np.pi * theta[0] * theta[1]
     steepness = full * np.cos(theta[2] - data.look)
-    tilt = np.arctan(steepness * _steepest(full, data.profile))
-    grow = np.exp(tilt * data.tilt[block] / SIGMA_VARIANCE)
-    swing = np.exp(-tilt * tilt / (2.0 * SIGMA_VARIANCE)) * 0.5 * (grow - 1.0 / grow)
+    swing, _ = _swing(full, steepness, data, block)
     hidden = np.zeros(shape.size)
     edges = np.zeros(8)
     spread = max(data.spread[block], 1e-6)
@@ -429,10 +292,10 @@ def field_intensity(theta, data, block, offset, shape):  # type: ignore[no-untyp
         ratio = data.altitude[block] / data.reach[block] / steepness
         length = min(spread, np.log(_shadow_limit(full, data) / ratio)) + spread
     for k in range(len(RAYS) if length > 0.0 else 0):
-        farther = RAYS[k][0] * length - spread
+        farther = RAYS[k] * length - spread
         if not _edges_seen(theta, data, block, farther, full, steepness, edges):
             continue
-        share = RAYS[k][1] * 0.5 * length / spread
+        share = RAY_WEIGHTS[k] * 0.5 * length / spread
         for i in range(shape.size):
             past = data.phase[block, i] + offset - 0.5 * np.pi
             past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))

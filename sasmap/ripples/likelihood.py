@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from sasmap.ripples.kernel import PriorData
+from sasmap.ripples.folded import PriorData
 
 FloatArray = NDArray[np.float64]
 

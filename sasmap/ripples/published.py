@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from sasmap.ripples.clip import Clip, mean_look
-from sasmap.ripples.kernel import PriorData
+from sasmap.ripples.folded import PriorData
 from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.scattering import SIGMA_VARIANCE
 

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.kernel import STUDENT, FoldData, PriorData, Proposal, run_chain
+from sasmap.ripples.folded import FoldData, PriorData, Proposal
+from sasmap.ripples.kernel import STUDENT, run_chain
 
 FloatArray = NDArray[np.float64]
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.ripples.folded import FoldData, PriorData
 from sasmap.ripples.kernel import (
     NOISE_BOUNDS,
     SIZE,
-    FoldData,
-    PriorData,
     climb,
     half_widths,
     log_target,
@@ -41,6 +40,7 @@ MAX_STAGES = 100
 RIVALS = 2
 RIVAL_MARGIN = 60.0
 WIDEN = 2.0
+EDGE = 1e-9
 # Spread of the starts' wave vector, in parts of a cycle over the clip.
 WAVE_SPREAD = 0.04
 
@@ -103,9 +103,12 @@ def cooled_population(
     ndarray (PARTICLES, SIZE)
         Coordinates (see :func:`sasmap.ripples.kernel.log_target`) of equal weight.
     """
-    peaks = [peak]
+    peaks = [peak.copy()]
     for start in _rivals(table, peak, data, compiled):
         peaks.append(polished(start, data, compiled)[0])
+    (f_low, f_high), (h_low, h_high) = prior.bounds
+    for point in peaks:  # at a bound, the way to coordinates and back could step over it
+        point[1] = np.clip(point[1], h_low * (1 + EDGE), h_high * (1 - EDGE))
     centres = np.array([coordinates(p) for p in peaks])
     levels = np.array([log_target(x, data, compiled, 1.0) for x in centres])
     centres = centres[levels > levels.max() - RIVAL_MARGIN]
@@ -114,7 +117,6 @@ def cooled_population(
     which = rng.integers(0, len(centres), PARTICLES)
     offset = WIDEN * widths[which] * rng.normal(size=(PARTICLES, SIZE))
     particles = centres[which] + offset
-    (f_low, f_high), (h_low, _) = prior.bounds
     particles[:, 0] = np.clip(particles[:, 0], f_low, f_high)
     particles[:, 1] = np.abs(particles[:, 1] - h_low) + h_low
     particles[:, 4] = np.clip(particles[:, 4], *NOISE_BOUNDS)
