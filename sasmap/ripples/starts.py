@@ -41,6 +41,8 @@ RIVALS = 2
 RIVAL_MARGIN = 60.0
 WIDEN = 2.0
 EDGE = 1e-9
+# Cosine of the angle to the look of which a start at least is.
+ACROSS = 1e-3
 # Spread of the starts' wave vector, in parts of a cycle over the clip.
 WAVE_SPREAD = 0.04
 
@@ -59,6 +61,8 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
         theta and log likelihood, at the fold's wave vector (as near as the prior allows).
     """
     wave = data.base if data.field == 0 else data.wave
+    # of a wave nearly across the look, the direction that the sonar looks along
+    wave = np.array([max(wave[0], ACROSS * np.hypot(*wave)), wave[1]])
     azimuth = data.look + np.arctan2(wave[1], wave[0])
     spot = _bulk(prior, 0)
     frequency = float(np.clip(np.hypot(*wave), *prior.bounds[0]))
