@@ -14,6 +14,9 @@ FloatArray = NDArray[np.float64]
 # its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as proof of
 # a noise floor of nothing.
 DYNAMIC_RANGE = 3e-3
+# Largest intensity over the mean from which pixels are looked at one by one, and amplitude over the
+# median of those above zero that none may have.
+GLARING, OUTLIER = 300.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,8 @@ def mean_look(clip: Clip) -> float:
 def normalised(clip: Clip, valid: NDArray[np.bool_]) -> tuple[FloatArray, float]:
     """Intensity of the valid pixels over its mean, and the root of that mean.
 
-    By way of the largest amplitude, whose square may not exist.
+    By way of the largest amplitude, whose square may not exist. Pixels beyond all that speckle can
+    do (defects) are brought down, lest they be the mean.
     """
     amplitude = clip.amplitude[valid]
     largest = float(amplitude.max())
@@ -115,4 +119,8 @@ def normalised(clip: Clip, valid: NDArray[np.bool_]) -> tuple[FloatArray, float]
         return np.zeros_like(amplitude), 0.0
     power = (amplitude / largest) ** 2
     mean = float(power.mean())
+    if mean * GLARING < 1:
+        largest = min(largest, OUTLIER * float(np.median(amplitude[amplitude > 0])))
+        power = np.minimum(amplitude / largest, 1.0) ** 2
+        mean = float(power.mean())
     return np.asarray(power / mean), largest * float(np.sqrt(mean))

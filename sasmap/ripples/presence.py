@@ -214,7 +214,9 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
     half[image.shape[0] // 2 + 1 :, 1 : image.shape[1] // 2 + 1] = True
     radius = _rings(image.shape).radius
     searched = half & (found.waves >= MIN_WAVES) & (radius * MIN_PIXELS <= 1)
-    searched &= (found.frequency >= bounds[0]) & (found.frequency <= bounds[1])
+    bin_half = 0.5 * found.frequency / np.maximum(found.waves, MIN_WAVES)
+    searched &= found.frequency >= bounds[0] - bin_half
+    searched &= found.frequency <= bounds[1] + bin_half
     if not searched.any():
         return None
     waves: list[Wave] = []

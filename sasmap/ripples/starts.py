@@ -134,7 +134,7 @@ def _rivals(
     table: FloatArray, peak: FloatArray, data: FoldData, compiled: PriorData
 ) -> list[FloatArray]:
     """Points of the scan that may lead to other peaks: the best at heights far from the peak's."""
-    far = np.abs(np.log(table[:, 1] / max(float(peak[1]), 1e-12))) > 0.5
+    far = np.abs(np.log(np.maximum(table[:, 1], 1e-12) / max(float(peak[1]), 1e-12))) > 0.5
     order = np.argsort(-table[far, SIZE])[:RIVALS]
     return [row[:SIZE] for row in table[far][order]]
 

@@ -1,0 +1,24 @@
+"""The cases of pipelines/ripples/extremes.py, one by one."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+EXTREMES = runpy.run_path(
+    str(Path(__file__).resolve().parents[2] / "pipelines" / "ripples" / "extremes.py")
+)
+CASES = EXTREMES["cases"]()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_finite_estimate_or_the_right_code(name):
+    posterior = EXTREMES["outcome"](CASES[name])
+    assert posterior.quality in CASES[name][2]
+    assert EXTREMES["finite"](posterior)
+
+
+def test_a_glaring_pixel_changes_nothing_else():
+    bright = EXTREMES["outcome"](CASES["one pixel of 1e6 times the rest"])
+    assert abs(float(bright.mean.frequency) - 0.6) < 1e-3
+    assert abs(float(bright.mean.height) - 0.07) < 2e-3
