@@ -23,19 +23,14 @@ from sasmap.ripples.presence import Spectrum, Wave, find_waves, spectrum, too_lo
 from sasmap.ripples.published import sample_published
 from sasmap.ripples.sampler import learn_proposal, metropolis
 from sasmap.ripples.settings import RippleSettings
-from sasmap.ripples.starts import cooled_population, parameters
+from sasmap.ripples.starts import parameters, population
 
 MIN_PIXELS = 400
-ROUND = 250
-# Pixels by which a wave may be off from one end of a clip to the other, and by which A_H's effect
-# on where shadow ends may: where crests run along rows or columns of pixels, whose whole length
-# then shows one place of an edge, and where they cross them.
-WAVE_SLIP, HEIGHT_SLIP = (0.08, 0.06), (0.04, 0.012)
+ROUND = 400
 # Share of the local frequency's variation by which a bent clip's A_H is uncertain.
 BENT_SHARE = 0.7
-# Steps of each member of the burn-in population before its density is learned again, and by how
-# much it is widened each time: a population too narrow would not find out.
-WALK, WIDENED = 6, (1.5, 1.25, 1.1)
+# By how much the burn-in population is widened: one too narrow would not find out.
+WIDENED = 1.1
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
 # Standard deviations of the prior within which a wave is searched where it is assumed.
@@ -189,18 +184,13 @@ def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleS
 def _sampled(fit: Fit, task: Task, rng: np.random.Generator) -> tuple[np.ndarray, float, bool]:
     """Draws (chain, draw, parameter), accepted fraction, and whether they converged."""
     settings, data, compiled = task.settings, fit.data, task.compiled
-    population = cooled_population(fit.table, fit.theta, data, task.prior, compiled, rng)
-    for widen in WIDENED:  # the population is rough: each member walks on, then it is learned again
-        proposal = learn_proposal(population, widen)
-        walks = [metropolis(x, WALK, proposal, data, compiled, rng).draws for x in population]
-        population = np.array([walk[-1] for walk in walks])
-    members = np.concatenate([population, [walk[WALK // 2] for walk in walks]])
-    proposal = learn_proposal(members, WIDENED[-1])
-    states = population[rng.permutation(len(population))[: settings.chains]]
+    members, width = population(fit.theta, data, task.prior, compiled, rng)
+    proposal = learn_proposal(members, WIDENED, width)
+    states = members[rng.permutation(len(members))[: settings.chains]]
     rounds: list[np.ndarray] = []
     accepted, kept, done = 0, 0, False
     while kept < settings.draws and not done:
-        steps = min(ROUND, settings.draws - kept)
+        steps = min(max(ROUND, kept // 2), settings.draws - kept)
         chains = [metropolis(state, steps, proposal, data, compiled, rng) for state in states]
         states = np.array([chain.draws[-1] for chain in chains])
         accepted += sum(chain.accepted for chain in chains)
@@ -212,11 +202,9 @@ def _sampled(fit: Fit, task: Task, rng: np.random.Generator) -> tuple[np.ndarray
 
 
 def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -> np.ndarray:
-    """Widen draws by what no model of an image can vouch for.
+    """Widen draws of a bent clip's A_H.
 
-    Where a shadow's edge lies is known to a part of a pixel at best: so is how far a wave is from
-    one end of the clip to the other. Where crests bend, A_H is told by a pulse that places of
-    different local frequency share.
+    Its pulse is one that places of different local frequency share.
 
     Parameters
     ----------
@@ -229,32 +217,15 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     -------
     ndarray (chain, draw, SIZE)
     """
-    image, prior = task.image, task.prior
-    frequency = float(draws[..., 0].mean())
-    length = max(float(np.ptp(fit.data.along)), 1 / frequency)
-    crossed = 0 if fit.data.leak > 0 else 1
-    slip = WAVE_SLIP[crossed] * image.pixel_size
-    steepness = 2 * np.pi * frequency * draws[..., 1].mean()
-    shadowed = task.shadow is not None and steepness > 0.5 * np.min(
-        fit.data.altitude / fit.data.reach
-    )
-    edge = 2 * np.pi * frequency * HEIGHT_SLIP[crossed] * image.pixel_size
-    height = edge if shadowed else 0.0
-    height = np.hypot(height, BENT_SHARE * fit.phase.variation)
-    turn = slip / length
+    if fit.phase.rigid:
+        return draws
+    height = BENT_SHARE * fit.phase.variation * float(draws[..., 1].mean())
     # a prior holds what it knows better: doubt about the image adds nothing to that
-    height *= float(draws[..., 1].mean())
-    known = np.array([*prior.sd, np.radians(prior.azimuth[1])])
-    left = np.sqrt(np.maximum(known**2 - draws[..., :3].var(axis=(0, 1)), 0))
-    spread = np.minimum([frequency * turn, height, turn], left)
-    spread[1] /= max(float(draws[..., 1].mean()), 1e-12)
+    left = np.sqrt(max(task.prior.sd[1] ** 2 - float(draws[..., 1].var()), 0))
+    spread = min(height, left) / max(float(draws[..., 1].mean()), 1e-12)
     result = draws.copy()
-    normal = rng.normal(size=(3, *draws.shape[:2]))
-    result[..., 0] += spread[0] * normal[0]
-    result[..., 1] *= np.exp(spread[1] * normal[1])
-    result[..., 2] += spread[2] * normal[2]
-    for i in range(2):
-        result[..., i] = np.clip(result[..., i], *prior.bounds[i])
+    result[..., 1] *= np.exp(spread * rng.normal(size=draws.shape[:2]))
+    result[..., 1] = np.clip(result[..., 1], *task.prior.bounds[1])
     return result
 
 
@@ -272,7 +243,7 @@ def labelled(draws: np.ndarray) -> xr.Dataset:
     draws[..., 2] = np.degrees(draws[..., 2])
     draws[..., 2] -= 180.0 * np.floor(draws[..., 2].mean() / 180.0)
     draws[..., 3] %= 2 * np.pi
-    draws[..., 4:] = np.exp(draws[..., 4:])
+    draws[..., 4] = np.exp(draws[..., 4])
     return dataset(draws, ("frequency", "height", "azimuth", "phase", "noise", "blur"))
 
 

@@ -7,7 +7,6 @@ any sampling.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.fft import rfft2
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
-from sasmap.ripples.fold import PROFILES, fold, fold_plan, turn_across
+from sasmap.ripples.fold import PROFILES, Reference, detrended, fold, fold_plan
 from sasmap.ripples.folded import FoldData, PriorData
 from sasmap.ripples.image import Image
 from sasmap.ripples.kernel import SIZE, log_likelihood, pulses
@@ -29,6 +28,7 @@ from sasmap.ripples.phase import (
     demodulate,
     local_mean,
     refined_wave,
+    rewaved,
     straight,
 )
 from sasmap.ripples.pixels import unfold_pixels
@@ -36,7 +36,7 @@ from sasmap.ripples.presence import EULER
 from sasmap.ripples.scattering import ProfileName
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.shadow import ShadowRule, shadow_table
-from sasmap.ripples.starts import polished, scan
+from sasmap.ripples.starts import polished, rivals, scan
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +49,11 @@ PROFILE_GAIN, PROFILE_MARGIN, PROFILE_SHARE = 0.002, 10.0, 0.3
 EXPLAINED = 1.0
 # Variation of the ratio of image and model, over several wavelengths, that makes a trend (rms).
 TREND_RMS = 0.05
-REFOLD = 0.002  # cycles over a block
+# Share of a clip's pixels, in light and clear of shadow's edges, from which they tell its trend and
+# its speckle.
+MIN_LIT = 0.05
+# Pixels of a bin from which its mean says something about the model.
+FEW = 8.0
 NOISE_BOUNDS = (0.5, 50.0)
 # Model intensity over its mean below which speckle is not judged.
 DARK = 0.1
@@ -67,13 +71,13 @@ class Fit(NamedTuple):
         Near the peak.
     level : float
         Its log posterior.
-    table : ndarray (n, SIZE + 1)
-        The scan.
     profile : str
     trended : bool
         Whether the clip has a trend that the scattering of its sea floor does not explain.
     noise_factor : float
         How many times the variance of independent speckle the clip's has.
+    reference : Reference or None
+        What straight crests were folded at.
     """
 
     phase: PhaseField
@@ -81,10 +85,10 @@ class Fit(NamedTuple):
     data: FoldData
     theta: FloatArray
     level: float
-    table: FloatArray
     profile: ProfileName
     trended: bool
     noise_factor: float
+    reference: Reference | None = None
 
 
 class Task(NamedTuple):
@@ -111,24 +115,45 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     Fit
     """
     boxes = demodulate(task.image, wave)
-    boxes = demodulate(task.image, refined_wave(task.image, boxes, boxes.count > 0))
-    best = _best_phase(task, boxes)
-    best = _with_profile(task, best)
+    boxes = rewaved(task.image, boxes, refined_wave(task.image, boxes, boxes.count > 0))
+    best = _with_profile(task, _best_phase(task, boxes))
     return _with_residuals(task, best)
 
 
-def _folded(task: Task, phase: PhaseField, trend: FloatArray, profile: ProfileName) -> Fit:
-    data = fold(task.image, phase, trend, task.shadow, profile, 1.0)
-    return _climbed(task, phase, trend, data, profile)
-
-
-def _climbed(
-    task: Task, phase: PhaseField, trend: FloatArray, data: FoldData, profile: ProfileName
-) -> Fit:
+def _searched(task: Task, phase: PhaseField, trend: FloatArray, profile: ProfileName) -> Fit:
+    """Fold on an even grid of phase, search all of A_H, phase and noise, and climb."""
+    data = fold(task.image, phase, trend, task.shadow, profile)
     table = scan(data, task.prior)
     start = table[np.argmax(table[:, SIZE]), :SIZE]
-    theta, level = polished(start, data, task.compiled)
-    return Fit(phase, trend, data, theta, level, table, profile, False, 1.0)
+    peaks = [polished(start, data, task.compiled)]
+    if task.shadow is not None:
+        peaks += [polished(row, data, task.compiled) for row in rivals(table, peaks[0][0])]
+    theta, level = max(peaks, key=lambda peak: peak[1])
+    return Fit(phase, trend, data, theta, level, profile, False, 1.0)
+
+
+def refolded(task: Task, fit: Fit) -> Fit:
+    """Fold straight crests where the fit is, following their shadow, and climb on.
+
+    Parameters
+    ----------
+    task : Task
+    fit : Fit
+        Its level says nothing beside the result's: other pixels count.
+
+    Returns
+    -------
+    Fit
+    """
+    for near in (False, True) if task.shadow is None else (False, True, True):
+        reference = Reference(fit.theta, fit.data)
+        data = fold(task.image, fit.phase, fit.trend, task.shadow, fit.profile, reference)
+        theta = fit.theta.copy()
+        if not fit.data.fine:
+            theta[5] = 0.0
+        theta, level = polished(theta, data, task.compiled, near=near)
+        fit = fit._replace(data=data, theta=theta, level=level, reference=reference)
+    return fit
 
 
 def _with_other_profile(task: Task, fit: Fit, profile: ProfileName) -> Fit:
@@ -140,45 +165,32 @@ def _with_other_profile(task: Task, fit: Fit, profile: ProfileName) -> Fit:
 
 def _best_phase(task: Task, boxes: Boxes) -> Fit:
     flat = np.ones_like(boxes.trend)
-    phase = straight(task.image, boxes.wave, boxes)
-    rigid = _refolded(task, _folded(task, phase, flat, "sine"))
+    rigid = _searched(task, straight(task.image, boxes.wave, boxes), flat, "sine")
     found = bend(boxes)
-    if found.scores.max() * STRAIGHT < 1:
+    if (found.scores < STRAIGHT).all():
         return rigid
-    field = bent(task.image, boxes, found)
-    free = _folded(task, field, flat, "sine")
-    explained = _explained(rigid)
-    gain = _explained(free) - explained
-    return free if gain > FIELD_MARGIN + FIELD_GAIN * explained else rigid
+    free = _searched(task, bent(task.image, boxes, found), flat, "sine")
+    known = explained(rigid)
+    gain = explained(free) - known
+    return free if gain > FIELD_MARGIN + FIELD_GAIN * known else rigid
 
 
-def _explained(fit: Fit) -> float:
-    """Log posterior of a fit over the log likelihood of a flat image in the same fold."""
-    data = fit.data
-    filled = data.total > 0
-    pixels = np.bincount(data.group, data.pixels.sum(axis=1))
-    total = np.bincount(data.group, data.total.sum(axis=1))
-    level = np.log(total / np.maximum(pixels, 1) + 1e-300)[data.group, None]
-    loss = float((data.pixels * (level - data.log_mean))[filled].sum())
-    return max(fit.level + loss - 0.5 * float(filled.sum()), 0.0)
+def explained(fit: Fit) -> float:
+    """Log likelihood of a fit over that of a flat sea floor.
 
+    Parameters
+    ----------
+    fit : Fit
 
-def _refolded(task: Task, fit: Fit) -> Fit:
-    """Fold straight crests again at the wave that the fold itself tells."""
-    image, phase = task.image, fit.phase
-    look = image.look
-    right = np.array([look[1], -look[0]])
-    along = fit.theta[0] * np.cos(fit.theta[2] - fit.data.look)
-    wave = along * look + (phase.wave @ right) * right
-    turn, sd = turn_across(image, phase, wave, fit.trend)
-    wave = wave + turn * right
-    phase = replace(
-        phase,
-        wave=wave,
-        mean_wave=np.array([wave @ look, wave @ right]),
-        wave_sd=np.array([np.inf, sd]),
-    )
-    return _folded(task, phase, fit.trend, fit.profile)
+    Returns
+    -------
+    float
+        At least 0.
+    """
+    flat = fit.theta.copy()
+    flat[1] = 0.0
+    aside = fit.data._replace(wave_precision=np.zeros(2))
+    return float(max(log_likelihood(fit.theta, aside) - log_likelihood(flat, aside), 0.0))
 
 
 def _with_profile(task: Task, fit: Fit) -> Fit:
@@ -186,15 +198,14 @@ def _with_profile(task: Task, fit: Fit) -> Fit:
     wanted = task.settings.profile
     if wanted == fit.profile:
         return fit
-    misfit = dispersion(fit) - 1
-    filled = float((fit.data.total > 0).sum())
-    if wanted == "auto" and misfit * np.sqrt(filled) < EXPLAINED:
+    misfit, freedom = dispersion(fit)
+    if wanted == "auto" and (misfit - 1) * np.sqrt(freedom) < EXPLAINED:
         return fit
     names: tuple[ProfileName, ...] = ("stokes", "peaked") if wanted == "auto" else (wanted,)
     fits = [_with_other_profile(task, fit, name) for name in names]
     best = max(fits, key=lambda f: f.level)
-    missed = PROFILE_SHARE * 0.5 * max(misfit, 0) * filled
-    least = PROFILE_MARGIN + PROFILE_GAIN * _explained(fit) + missed
+    missed = PROFILE_SHARE * 0.5 * max(misfit - 1, 0) * freedom
+    least = PROFILE_MARGIN + PROFILE_GAIN * explained(fit) + missed
     enough = best.level > fit.level + least
     return best if wanted != "auto" or enough else fit
 
@@ -202,48 +213,57 @@ def _with_profile(task: Task, fit: Fit) -> Fit:
 def _with_residuals(task: Task, fit: Fit) -> Fit:
     """Take a trend off the clip where one shows, and measure its noise factor."""
     trended = False
-    for _ in range(2):
+    search = fit
+    for last in (False, False, True):
+        fit = refolded(task, search) if fit.phase.rigid else search
         ratio = residual(task.image, fit)
+        if np.count_nonzero(ratio) < MIN_LIT * task.image.valid.sum():
+            return fit
         trend, rms, noise = local_mean(task.image, fit.phase, ratio)
-        if rms < TREND_RMS + 2 * noise:
+        if last or rms < TREND_RMS + 2 * noise:
             break
         trended = True
-        fit = _folded(task, fit.phase, fit.trend * trend, fit.profile)
-        ratio = residual(task.image, fit)
+        search = _searched(task, fit.phase, fit.trend * trend, fit.profile)
     factor = 1.0
     if task.settings.speckle == "measured":
-        factor = max(noise_factor(task.image, fit.phase, ratio), dispersion(fit))
+        factor = max(noise_factor(task.image, fit.phase, ratio), dispersion(fit)[0], 1.0)
     data = fit.data._replace(power=1 / factor)
-    if fit.phase.rigid:  # a field's wave is as uncertain as its wander makes it
-        data = data._replace(wave_precision=data.wave_precision / factor)
     return fit._replace(data=data, trended=trended, noise_factor=factor)
 
 
-def dispersion(fit: Fit) -> float:
-    """Deviance of a fit over its degrees of freedom: what no ripple of the model's kind explains.
+def dispersion(fit: Fit) -> tuple[float, float]:
+    """Chi-square of a fit over its degrees of freedom: what no ripple of the model explains.
 
     Parameters
     ----------
     fit : Fit
-        With a likelihood of independent speckle.
 
     Returns
     -------
-    float
-        Near 1 where the model is true.
+    ratio : float
+        Near 1 where the model is true and speckle independent.
+    freedom : float
     """
-    phases_aside = fit.data._replace(wave_precision=np.zeros(2))
-    filled = float((fit.data.total > 0).sum())
-    return float(1 - 2 * log_likelihood(fit.theta, phases_aside) / filled)
+    data = fit.data
+    model, clear = pulses(fit.theta, data)
+    enough = clear & (data.known > FEW)
+    mean = data.total[enough] / data.known[enough]
+    square = data.known[enough] * np.log(model[enough] / mean) + data.known[enough] * (
+        mean / model[enough] - 1
+    )
+    freedom = max(float(enough.sum() - data.group.max() - 1 - SIZE), 1.0)
+    return float(2 * square.sum() / freedom), freedom
 
 
 def residual(image: Image, fit: Fit) -> FloatArray:
     """Intensity over the model's (rows, columns); 0 where not valid, not rippled or in shadow."""
-    plan = fold_plan(image, fit.phase, fit.trend)
     used = image.valid & fit.phase.pixels(fit.phase.covered, image.shape)
-    model = unfold_pixels(used, plan, pulses(fit.theta, fit.data))
-    lit = model > DARK * model[used].mean()
-    ratio = (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0)
+    plan, _, _ = fold_plan(image, fit.phase, fit.reference)
+    pulse, clear = pulses(fit.theta, fit.data)
+    model = unfold_pixels(used, fit.phase.cycles(image.shape), plan, np.where(clear, pulse, 0.0))
+    lit = model > DARK * max(float(model[used].mean()), 1e-300)
+    power = detrended(image, fit.phase, fit.trend) + DYNAMIC_RANGE
+    ratio = power / np.where(lit, model, 1.0)
     return np.asarray(np.where(lit, ratio, 0.0))
 
 
@@ -275,5 +295,7 @@ def noise_factor(image: Image, phase: PhaseField, ratio: FloatArray) -> float:
     ring = (radius > 0.6 * number) & (radius < 1.6 * number)
     if ring.sum() < 20:
         return 1.0
-    value = float(np.exp(np.log(power[ring] + 1e-12).mean() + EULER))
-    return float(np.clip(value, *NOISE_BOUNDS))
+    level = float(np.log(power[ring] + 1e-12).mean() + EULER)
+    if abs(level) < 2 * np.pi / np.sqrt(6 * ring.sum()):  # two standard deviations
+        return 1.0
+    return float(np.clip(np.exp(level), *NOISE_BOUNDS))

@@ -1,8 +1,7 @@
-"""Fold a clip by phase: a few hundred bins through which its pixels enter the likelihood."""
+"""Fold a clip by phase: a few thousand bins through which its pixels enter the likelihood."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,81 +10,191 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.folded import FoldData
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import BINS, PEAKED, SINE, STOKES
+from sasmap.ripples.kernel import PEAKED, SINE, SLIP_SD, STOKES, shadow_limit, shadow_places
 from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.pixels import (
     ALONG,
     COUNT,
-    DITHER,
-    FLAT,
     KNOWN,
-    LOG_SLOPE,
-    LOG_SLOPE2,
     PHASE,
-    PHASE2,
-    TILT,
     TOTAL,
     FoldPlan,
     fold_pixels,
+    spread_boxes,
 )
-from sasmap.ripples.scattering import ProfileName
+from sasmap.ripples.scattering import SIGMA_VARIANCE, ProfileName
 from sasmap.ripples.shadow import MAX_STEEPNESS, ShadowRule, shadow_table
 
 FloatArray = NDArray[np.float64]
 
-# Blocks of one gain hold at least a wavelength; those of one geometry, no more than this change of
-# the log of the ray's slope, where crests are straight.
-MAX_GAINS = 8
-MAX_CHANGE = 0.04
-MAX_BLOCKS = 32
-# Where whole columns of pixels share a phase, each tells a shadow's edge to about a third of a
-# pixel, as this many pixels of its own would; together they would claim to know it to a hundredth,
-# which no sonar's image and no navigation can bear.
-EDGE_PIXELS = 1.5
-# Strips across the look, and harmonics of the pulse, that tell how crests are turned.
-STRIPS = 8
-HARMONICS = 3
 PROFILES: dict[ProfileName, int] = {"sine": SINE, "stokes": STOKES, "peaked": PEAKED}
-# Blurs, rad: of straight crests at most a thirtieth of a wave; of a field, whose model would turn
-# from all lit to dark at a point without some, no more than leaves a pulse.
-STRAIGHT_BLURS, FIELD_BLURS = (1e-3, 0.2), (0.07, 1.5)
-# Half-widths of bins and blocks never vanish: a point would make the likelihood a step.
-MIN_HALF = 1e-3
+# Bins of phase.
+BINS = 48
+# Strips of one gain hold at least a wavelength; one of straight crests spans no more than this
+# change of the log of the range.
+MAX_GAINS = 8
+MAX_CHANGE = 0.15
+# Cells to which the ends of strips are rounded, and blocks of a strip.
+CELLS = 256
+SIDES = 3
+# Log of the range over that where shadow sets in at which strips end: there its edges part fast.
+ONSET = (-0.06, -0.03, -0.012, 0.0, 0.012, 0.03, 0.06, 0.12)
+# Pixels near the edges of straight crests' shadow are looked at one by one: these many. How near,
+# and how far from its place an edge may be seen at a pixel (standard deviation), in pixels, at
+# first and when a fold is made again. Floors are not quite even, and images know them by their
+# pixels.
+EDGE_PIXELS = 700
+ZONES, EDGE_SDS = (2.5, 1.0), (0.5, 0.12)
+# Largest and smallest error of a field, rad: with less the model would turn from all lit to dark at
+# a point, with more no pulse is left.
+FIELD_BLURS = (0.07, 1.5)
+# The same where a grid of phase is but a first search for straight crests.
+COARSE_BLURS = (0.03, 0.5)
+# Altitudes across a strip that differ by no more than this are the same.
+SAME_ALTITUDE = 1e-3
 
 
-def fold_plan(image: Image, phase: PhaseField, trend: FloatArray) -> FoldPlan:
-    """Lay out the bins: blocks of like geometry along the look."""
+class Reference(NamedTuple):
+    """A point of the posterior that a fold is made for.
+
+    Attributes
+    ----------
+    theta : ndarray (SIZE,)
+    data : FoldData
+        An earlier fold of the same clip, for its rule, profile and look.
+    """
+
+    theta: FloatArray
+    data: FoldData
+
+
+class _Bend(NamedTuple):
+    """Where shadow's edges lie in a fold: ripple phase at its beginning, and FoldPlan.bend."""
+
+    zero: float
+    bend: FloatArray
+
+
+def gain_groups(phase: PhaseField, look: FloatArray, length: float) -> int:
+    """Return how many groups of their own gain a clip of a length along the look has."""
+    return int(np.clip(length * float(np.abs(phase.wave @ look)), 1, MAX_GAINS))
+
+
+def fold_plan(
+    image: Image, phase: PhaseField, reference: Reference | None
+) -> tuple[FoldPlan, NDArray[np.int64], float]:
+    """Lay out strips, blocks and bins.
+
+    Parameters
+    ----------
+    image : Image
+    phase : PhaseField
+    reference : Reference or None
+        For straight crests: where to follow the edges of shadow; none for an even grid of phase.
+
+    Returns
+    -------
+    plan : FoldPlan
+    group : ndarray of int (strips,)
+        Strips that share a gain.
+    zero : float
+        Ripple phase at the first bin's beginning, rad.
+    """
     look = image.look
     right = np.array([look[1], -look[0]])
-    place = image.project(look)[image.valid]
-    start, length = float(place.min()), float(np.ptp(place)) + 1e-9
-    gains = gain_blocks(phase, look, length)
-    each = 1
-    if phase.rigid:
-        reach = image.ground_range[image.valid]
-        change = float(np.log(reach.max() / max(reach.min(), 1e-3)))
-        each = int(np.ceil(min(change / MAX_CHANGE, MAX_BLOCKS) / gains))
-    blocks = gains * each
-    return FoldPlan(
-        image.per_pixel(phase.wave),
-        look @ image.steps,
-        right @ image.steps,
-        start,
-        length / blocks * (1 + 1e-9),
-        blocks,
-        BINS,
-        phase.box,
-        trend,
-        phase.even,
-        phase.odd,
-        phase.tiles,
-        not phase.rigid,
+    (start, length), (side, width) = image.extent(look), image.extent(right)
+    groups = gain_groups(phase, look, length)
+    cells = np.arange(CELLS) * groups // CELLS
+    wave, shift, sides, strip = phase.wave, 0.0, 1, cells
+    if reference is not None:
+        theta, sides = reference.theta, SIDES
+        turn = theta[2] - reference.data.look
+        wave = theta[0] * (np.cos(turn) * look + np.sin(turn) * right)
+        strip = _strips(image, reference, groups, start, length)
+        shift = float(theta[3])
+    strips = int(strip[-1]) + 1
+    step = length / CELLS
+    place = start + step * (np.arange(CELLS) + 0.5)
+    centre = np.bincount(strip, place) / np.bincount(strip)
+    zero, bend = _bend(image, reference, centre)
+    zone = ZONES[0 if reference is None or not reference.data.fine else 1]
+    zone *= image.pixel_size * float(np.hypot(*wave))
+    near = 4 * zone * np.mean(bend[strip, 1] > 0) * image.valid.sum()
+    return (
+        FoldPlan(
+            image.per_pixel(wave),
+            (shift - zero) / (2 * np.pi),
+            look @ image.steps,
+            right @ image.steps,
+            start,
+            1 / step,
+            strip,
+            centre,
+            side,
+            sides / width,
+            sides,
+            BINS,
+            bend,
+            zone,
+            min(EDGE_PIXELS / max(near, 1.0), 1.0),
+            2 * EDGE_PIXELS,
+        ),
+        cells[np.searchsorted(strip, np.arange(strips))],
+        zero,
     )
 
 
-def gain_blocks(phase: PhaseField, look: FloatArray, length: float) -> int:
-    """Return how many blocks of their own gain a clip of a length along the look has."""
-    return int(np.clip(length * float(np.abs(phase.wave @ look)), 1, MAX_GAINS))
+def _strips(
+    image: Image,
+    reference: Reference,
+    groups: int,
+    start: float,
+    length: float,
+) -> NDArray[np.int64]:
+    """Strip of each cell: of one gain, little change of range, and short where shadow sets in."""
+    near, far = image.range_limits
+    each = int(np.clip(np.ceil(np.log(far / max(near, 1e-3)) / MAX_CHANGE / groups), 1, 4))
+    cut = np.zeros(CELLS, bool)
+    cut[1:] = np.diff(np.arange(CELLS) * groups * each // CELLS) != 0
+    if reference.data.shadow > 0:
+        limit = shadow_limit(reference.theta, reference.data)
+        onset = image.mean_altitude / max(limit, 1e-9)
+        if near < onset * 1.1 and far > 0.9 * onset:
+            places = onset * np.exp(ONSET) - image.mean_range  # from the clip's centre
+            rows = ((places - start) / length * CELLS).astype(int)
+            cut[rows[(rows > 1) & (rows < CELLS - 1)]] = True
+    return np.cumsum(cut)
+
+
+def _bend(image: Image, reference: Reference | None, centre: FloatArray) -> _Bend:
+    """Follow the edges of shadow at the reference."""
+    none = np.zeros((centre.size, 4))
+    if reference is None:
+        return _Bend(0.0, none)
+    if reference.data.shadow == 0:
+        return _Bend(0.5 * np.pi, none)
+    reach = image.mean_range + centre
+    altitude = np.full(centre.size, image.mean_altitude)
+    theta = reference.theta.copy()
+    theta[5] = 0.0
+
+    def edges(factor: float) -> FloatArray:
+        data = reference.data._replace(reach=np.maximum(reach * factor, 1e-3), altitude=altitude)
+        return np.asarray(shadow_places(theta, data))
+
+    here, nearer, farther = edges(1.0), edges(0.995), edges(1.005)
+    shadowed = here[:, 1] > here[:, 0]
+    if not shadowed.any():
+        return _Bend(0.5 * np.pi, none)
+    most = int(np.argmax(here[:, 1] - here[:, 0]))
+    turn = 0.5 * (here[most].sum() + 1) % 1  # in the middle of what the darkest strip shows
+    moved = (here - turn) % 1
+    shadowed &= (moved[:, 1] > moved[:, 0]) & (moved[:, 0] > 0)
+    both = (nearer[:, 1] > nearer[:, 0]) & (farther[:, 1] > farther[:, 0])
+    slope = np.where(both[:, None], (farther - nearer) / (0.01 * reach[:, None]), 0.0)
+    bend = np.column_stack([moved, slope])
+    bend[~shadowed] = 0.0
+    return _Bend(2 * np.pi * (0.25 + turn), bend)
 
 
 def fold(
@@ -94,7 +203,7 @@ def fold(
     trend: FloatArray,
     shadow: ShadowRule | None,
     profile: ProfileName,
-    noise_factor: float,
+    reference: Reference | None = None,
 ) -> FoldData:
     """Fold a clip's pixels by their phase and make them ready for the compiled likelihood.
 
@@ -108,155 +217,166 @@ def fold(
     shadow : {"line-of-sight", "crest"} or None
         None where none can fall.
     profile : {"sine", "stokes", "peaked"}
-    noise_factor : float
-        How many times the variance of independent speckle the clip's speckle has.
+    reference : Reference, optional
+        For straight crests: fold at this point of the posterior, and follow the edges of shadow.
 
     Returns
     -------
     FoldData
+        With the likelihood of independent speckle.
     """
-    plan = fold_plan(image, phase, trend)
+    plan, group, zero = fold_plan(image, phase, reference)
     used = image.valid & phase.pixels(phase.covered, image.shape)
-    sums, places, met = fold_pixels(
-        image.power, used, image.saturated, image.ground_range, image.altitude, plan
+    sums, dark, places, edges, _ = fold_pixels(
+        detrended(image, phase, trend),
+        used,
+        image.saturated,
+        image.ground_range,
+        image.altitude,
+        phase.cycles(image.shape),
+        plan,
     )
-    parts = np.asarray(sum((met >> k) & 1 for k in range(DITHER)), float)
-    footprint = image.pixel_size * float(np.hypot(*phase.wave))  # in cycles
-    columns = phase.rigid and float(np.median(parts[parts > 0])) < DITHER / 4
-    # the variance of a footprint, on three bins
-    leak = min((footprint * BINS) ** 2 / 16, 0.25) if columns else 0.0
-    if columns:
-        sums = _footprints(sums, leak)
-    count, filled = np.maximum(sums[COUNT], 1), sums[COUNT] > 0
-    blocks = _blocks(sums, places)
-    gains = gain_blocks(phase, image.look, plan.width * plan.blocks)
-    group = np.arange(plan.blocks) // (plan.blocks // gains)
-    bins = _bins(sums, blocks, group) if phase.rigid else _even_bins(sums, blocks)
-    dither = np.minimum(EDGE_PIXELS * np.maximum(parts, 1) / count + (parts / DITHER) ** 4, 1.0)
-    known, total = sums[KNOWN], sums[TOTAL] + DYNAMIC_RANGE * sums[COUNT]
-    ratio = np.where(filled, total / np.maximum(known, 1), 1.0)
-    look = image.look
-    right = np.array([look[1], -look[0]])
+    count = sums[..., COUNT]
+    dark[:, 1] += DYNAMIC_RANGE * dark[:, 0]
+    edges = edges[np.argsort(edges[:, 0], kind="stable")]
+    edges[:, -1] += DYNAMIC_RANGE
+    blocks = _blocks(plan, places)
+    bins = _bins(sums, blocks)
+    if reference is None:
+        bins = _even_bins(bins)
+    look, wave = image.look, phase.wave
+    base = np.array([0.0, wave @ look, wave[0] * look[1] - wave[1] * look[0]])
+    if reference is not None:
+        f, _, azimuth, shift = reference.theta[:4]
+        turn = azimuth - reference.data.look
+        base = np.array([shift, f * np.cos(turn), f * np.sin(turn)])
+    slip = np.array([0.0, 1 / SLIP_SD**2]), np.array([-3.0, 3.0]) * SLIP_SD
+    error = np.array([np.log(phase.blur), 1 / phase.blur_sd**2])
+    bounds = np.log(COARSE_BLURS if phase.rigid else FIELD_BLURS)
+    blur, blur_bounds = (error, bounds) if reference is None else slip
     return FoldData(
-        pixels=known,
-        total=total,
-        log_mean=np.log(ratio),
-        phase=bins.angle,
-        half=2 * np.pi * np.maximum(bins.half, MIN_HALF),
-        cosine=np.cos(bins.angle),
-        sine=np.sin(bins.angle),
+        known=np.ascontiguousarray(sums[..., KNOWN]),
+        total=sums[..., TOTAL] + DYNAMIC_RANGE * count,
+        cosine=np.cos(bins.angle + zero),
+        sine=np.sin(bins.angle + zero),
         ahead=bins.ahead,
-        farther=bins.farther,
         steeper=bins.steeper,
         flat=bins.flat,
-        dither=dither,
-        leak=leak,
-        guard=2 * np.pi * (2.5 if columns else 0.5) * footprint,
+        dark=dark,
+        edges=edges,
+        edge_start=np.searchsorted(edges[:, 0], np.arange(len(dark) + 1)),
+        edge_sd=EDGE_SDS[0 if reference is None or not reference.data.fine else 1]
+        * image.pixel_size
+        * float(np.hypot(*wave)),
+        along=blocks.along,
+        across=blocks.across,
         reach=blocks.reach,
         altitude=blocks.altitude,
         tilt=blocks.tilt,
-        spread=np.sqrt(3) * bins.spread,
-        along=blocks.along,
-        across=blocks.across,
+        spread=blocks.spread,
         group=group,
         lagging=_line_weights(blocks.along, blocks.weight),
-        base=np.array([phase.wave @ look, phase.wave @ right]),
+        zero=zero,
+        reference=base,
         wave=phase.mean_wave,
         wave_precision=1 / phase.wave_sd**2,
         look=float(np.radians(image.azimuth)),
         table=shadow_table(shadow or "line-of-sight", profile),
         table_steepness=MAX_STEEPNESS,
-        blur=np.array([np.log(phase.blur), 1 / phase.blur_sd**2]),
-        blur_bounds=np.log(STRAIGHT_BLURS if phase.rigid else FIELD_BLURS),
-        power=1 / noise_factor,
+        blur=blur,
+        blur_bounds=blur_bounds,
+        pixel=image.pixel_size * float(np.hypot(*wave)),
+        power=1.0,
         profile=PROFILES[profile],
         shadow=0 if shadow is None else 2 if shadow == "crest" else 1,
         field=int(not phase.rigid),
+        fine=int(reference is not None),
     )
 
 
+def detrended(image: Image, phase: PhaseField, trend: FloatArray) -> FloatArray:
+    """Intensity of a clip over a trend on the phase field's boxes (rows, columns)."""
+    if not np.ptp(trend) > 0:
+        return image.power
+    return np.asarray(image.power / spread_boxes(trend, phase.box, image.shape))
+
+
 class _Blocks(NamedTuple):
-    """Number of pixels of blocks and means over them (blocks,)."""
+    """Means over blocks (blocks,); geometry at the middle of their strip."""
 
     weight: FloatArray
     along: FloatArray
     across: FloatArray
     reach: FloatArray
+    own_reach: FloatArray
     altitude: FloatArray
-    slope: FloatArray
-    slope2: FloatArray
     tilt: FloatArray
+    spread: FloatArray
+    flat: float
 
 
 class _Bins(NamedTuple):
-    """Means over the pixels of bins (blocks, bins); spread of log slope in a block (blocks,)."""
+    """Means over the pixels of bins (blocks, bins)."""
 
     angle: FloatArray
-    half: FloatArray
     ahead: FloatArray
-    farther: FloatArray
     steeper: FloatArray
     flat: FloatArray
-    spread: FloatArray
 
 
-def _blocks(sums: FloatArray, places: FloatArray) -> _Blocks:
+def _blocks(plan: FoldPlan, places: FloatArray) -> _Blocks:
     """Means over blocks; over the clip for those without a pixel."""
-    weight = places[0]
-
-    def mean(total: FloatArray) -> FloatArray:
-        return np.asarray(
-            np.where(weight > 0, total / np.maximum(weight, 1), total.sum() / weight.sum())
-        )
-
-    along, across, reach, altitude = (mean(total) for total in places[1:])
-    slope, slope2, tilt = (mean(sums[k].sum(axis=1)) for k in (LOG_SLOPE, LOG_SLOPE2, TILT))
-    return _Blocks(weight, along, across, reach, altitude, slope, slope2, tilt)
-
-
-def _bins(sums: FloatArray, blocks: _Blocks, group: NDArray[np.int64]) -> _Bins:
-    """Bins of straight crests: each has its own phase, place and ray."""
-    filled, count = sums[COUNT] > 0, np.maximum(sums[COUNT], 1)
-    offset = sums[PHASE] / count
-    flat = np.bincount(group, sums[FLAT].sum(axis=1)) / np.bincount(group, blocks.weight + 1e-9)
-    flat = flat[group][:, None]
-    variance = np.maximum(sums[LOG_SLOPE2] / count - (sums[LOG_SLOPE] / count) ** 2, 0)
-    within = (variance * sums[COUNT]).sum(axis=1) / np.maximum(blocks.weight, 1)
-
-    def beyond(k: int, place: FloatArray) -> FloatArray:
-        return np.where(filled, sums[k] / count - place[:, None], 0)
-
-    return _Bins(
-        2 * np.pi * ((np.arange(BINS) + 0.5) / BINS + offset),
-        np.sqrt(3 * np.maximum(sums[PHASE2] / count - offset**2, 0)),
-        beyond(ALONG, blocks.along),
-        beyond(LOG_SLOPE, blocks.slope),
-        beyond(TILT, blocks.tilt),
-        np.where(filled, sums[FLAT] / count / np.maximum(flat, 1e-9), 1.0),
-        np.sqrt(within),
+    weight = places[:, 0]
+    whole = places.sum(axis=0) / weight.sum()
+    mean = np.where(weight[:, None] > 0, places / np.maximum(weight, 1)[:, None], whole)
+    _, along, across, own, altitude = mean.T
+    strip = np.repeat(np.arange(plan.centre.size), plan.blocks)
+    total = np.bincount(strip, weight)
+    level = np.bincount(strip, altitude * weight) / np.maximum(total, 1)
+    level = np.where(total > 0, level, whole[4])[strip]
+    if np.ptp(altitude / level) < SAME_ALTITUDE:
+        altitude = level
+    reach = np.maximum(own + plan.centre[strip] - along, 0.1 * own)
+    tilt = np.arctan2(reach, altitude)
+    flat = np.exp(-(np.arctan2(own, altitude) ** 2) / SIGMA_VARIANCE)
+    # strips are even along the look: half the width of log range, shortened by what they lack
+    half = 0.5 * np.bincount(plan.strip) / plan.cells
+    return _Blocks(
+        weight,
+        along,
+        across,
+        reach,
+        own,
+        altitude,
+        tilt,
+        np.arctanh(np.minimum(half[strip] / reach, 0.95)),
+        float((flat * weight).sum() / weight.sum()),
     )
 
 
-def _even_bins(sums: FloatArray, blocks: _Blocks) -> _Bins:
-    """Bins of bent crests: an even grid of phase, each with its whole block's rays."""
-    shape = sums[COUNT].shape
-    angle = np.broadcast_to(2 * np.pi * (np.arange(BINS) + 0.5) / BINS, shape).copy()
-    spread = np.sqrt(np.maximum(blocks.slope2 - blocks.slope**2, 0))
+def _bins(sums: FloatArray, blocks: _Blocks) -> _Bins:
+    """Bins of straight crests: each has its own phase, place and ray."""
+    count = sums[..., COUNT]
+    filled, many = count > 0, np.maximum(count, 1)
+    bins = count.shape[1]
+    offset = sums[..., PHASE] / many
+    ahead = np.where(filled, sums[..., ALONG] / many - blocks.along[:, None], 0.0)
+    reach = np.maximum(blocks.own_reach[:, None] + ahead, 1e-3)
+    tilt = np.arctan2(reach, blocks.altitude[:, None])
+    return _Bins(
+        2 * np.pi * ((np.arange(bins) + 0.5) / bins + offset),
+        ahead,
+        tilt - blocks.tilt[:, None],
+        np.exp(-(tilt**2) / SIGMA_VARIANCE) / blocks.flat,
+    )
+
+
+def _even_bins(bins: _Bins) -> _Bins:
+    """Bins of an even grid of phase, each with its whole block's rays but its own floor."""
+    shape = bins.angle.shape
+    angle = np.broadcast_to(2 * np.pi * (np.arange(shape[1]) + 0.5) / shape[1], shape).copy()
     none = np.zeros(shape)
-    return _Bins(angle, np.full(shape, 0.5 / BINS), none, none, none, np.ones(shape), spread)
-
-
-def _footprints(sums: FloatArray, side: float) -> FloatArray:
-    """Spread sums (SUMS, blocks, bins) by a pixel's footprint: this share to each neighbour."""
-    result = (1 - 2 * side) * sums
-    for shift in (1, -1):
-        moved = np.roll(sums, shift, axis=-1)
-        # a pixel keeps its phase, told from the centre of the bin that it comes to
-        offset = -shift / BINS
-        moved[PHASE2] += 2 * offset * moved[PHASE] + offset**2 * moved[COUNT]
-        moved[PHASE] += offset * moved[COUNT]
-        result += side * moved
-    return np.asarray(result)
+    return _Bins(angle, none, none, bins.flat)
 
 
 def _line_weights(place: FloatArray, weight: FloatArray) -> FloatArray:
@@ -264,57 +384,3 @@ def _line_weights(place: FloatArray, weight: FloatArray) -> FloatArray:
     offset = place - np.average(place, weights=weight)
     square = float((weight * offset**2).sum())
     return np.asarray(weight * offset / square if square > 0 else np.zeros_like(place))
-
-
-def turn_across(
-    image: Image, phase: PhaseField, wave: FloatArray, trend: FloatArray
-) -> tuple[float, float]:
-    """How far straight crests are turned from a wave, by the pulse's phase in strips.
-
-    Strips across the look are folded at the wave and their phase is told by the pulse that all
-    share: the score of the speckle likelihood over its information.
-
-    Parameters
-    ----------
-    image : Image
-    phase : PhaseField
-        Of straight crests.
-    wave : ndarray (2,)
-        Wave vector (east, north), cycles/m.
-    trend : ndarray
-        Of the intensity, on the phase field's boxes.
-
-    Returns
-    -------
-    turn : float
-        What is missing of the wave vector's component across the look (to the right of it),
-        cycles/m.
-    sd : float
-        Its standard deviation, cycles/m, with independent speckle.
-    """
-    plan = fold_plan(image, replace(phase, wave=wave), trend)
-    used = image.valid & phase.pixels(phase.covered, image.shape)
-    look = image.look
-    place = image.project(np.array([look[1], -look[0]]))[used]
-    start, length = float(place.min()), float(np.ptp(place)) + 1e-9
-    plan = plan._replace(
-        along=plan.across, start=start, width=length / STRIPS * (1 + 1e-9), blocks=STRIPS
-    )
-    sums, places, _ = fold_pixels(
-        image.power, used, image.saturated, image.ground_range, image.altitude, plan
-    )
-    pixels, total = sums[KNOWN], sums[TOTAL] + DYNAMIC_RANGE * sums[COUNT]
-    pulse = total.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
-    lines = np.fft.rfft(pulse)
-    lines[HARMONICS + 1 :] = 0
-    smooth = np.maximum(np.fft.irfft(lines, BINS), 0.25 * pulse.mean())
-    slope = np.fft.irfft(1j * np.arange(lines.size) * lines, BINS) / smooth
-    score = ((total / smooth - pixels) * slope).sum(axis=1)
-    information = (pixels * slope**2).sum(axis=1)
-    centre = places[1] / np.maximum(places[0], 1)
-    weight = information / max(information.sum(), 1e-300)
-    offset = centre - (weight * centre).sum()
-    square = max(float((information * offset**2).sum()), 1e-12)
-    turn = float((offset * score).sum()) / square / (2 * np.pi)
-    sd = 1 / (2 * np.pi * np.sqrt(square))
-    return float(np.clip(turn, -0.25 / length, 0.25 / length)), float(sd)

@@ -1,10 +1,12 @@
 """What the compiled code of :mod:`sasmap.ripples.kernel` reads.
 
-Parameters theta, in this order: f (cycles/m), A_H (m), azimuth of the crest normal (rad), phase,
-log n0 (noise floor over the flat sea floor's intensity), log of the blur (rad). The phase is the
-ripple's at the clip's centre, relative to that of the fold (rad); with a phase field, whose phase
-is that of the image's fundamental, what is left of it. The blur is by how much crests stray from
-the fold's phase: with a field its error, else what little straight crests stray.
+Parameters theta, in this order: f (cycles/m), A_H (m), azimuth of the crest normal (rad), phase
+(rad), log n0 (noise floor over the flat sea floor's intensity), and the blur.
+
+Where crests are straight, the phase is the ripple's at the clip's centre, and the blur is how many
+pixels behind its place the beginning of shadow is seen. With a phase field, whose phase is that of
+the image's fundamental, the phase is what is left of it, and the blur the log of the field's error,
+rad.
 """
 
 from __future__ import annotations
@@ -18,43 +20,44 @@ FloatArray = NDArray[np.float64]
 
 
 class FoldData(NamedTuple):
-    """What the compiled likelihood reads: arrays (blocks, bins) of phase or (blocks,).
+    """A folded clip: arrays (blocks, bins) of phase, (blocks,) or (strips,).
+
+    Strips lie behind each other along the look; each has one geometry, and consists of as many
+    blocks, side by side across the look, one after the other in the arrays.
 
     Attributes
     ----------
-    pixels, total : ndarray (blocks, bins)
-        Pixels that are not saturated, and sum of intensity over the clip's mean.
-    log_mean : ndarray (blocks, bins)
-        Log of total over pixels: bins that weigh less than others must be compared with a perfect
-        model of themselves.
-    phase, half : ndarray (blocks, bins)
-        Mean phase of a bin's pixels and half the width over which they lie, rad.
+    known, total : ndarray (blocks, bins)
+        Pixels in light that are not saturated, and sum of intensity over the clip's mean.
     cosine, sine : ndarray (blocks, bins)
-        Of that phase.
-    ahead : ndarray (blocks, bins)
-        Mean place along the look from the block's, m.
-    farther, steeper, flat : ndarray (blocks, bins)
-        Relative to the block: log of the ray's slope, tilt (below), and flat sea floor's intensity.
-    dither : ndarray (blocks, bins)
-        Weight of a bin that a shadow's edge crosses.
-    leak : float
-        Share of a bin's pixels that lie beyond its width on each side.
-    guard : float
-        Phase beyond a shadow's edge over which that weight grows to 1, rad.
-    reach, altitude, tilt : ndarray (blocks,)
-        Ground range and altitude, m, and pi/2 less the grazing angle, rad.
-    spread : ndarray (blocks,)
-        Half the width of log slope within a block at one phase.
+        Of the mean phase of a bin's pixels at the reference (below).
+    ahead, steeper, flat : ndarray (blocks, bins)
+        Mean place along the look from the block's, m; tilt (below) beyond the strip's; flat sea
+        floor's intensity over the clip's mean of it.
+    dark : ndarray (blocks, 2)
+        Pixels that are not saturated, and total intensity, of what lies in shadow.
+    edges : ndarray (n, EDGE_PARTS)
+        Pixels near an edge of shadow (:func:`sasmap.ripples.pixels.fold_pixels`), by blocks.
+    edge_start : ndarray of int (blocks + 1,)
+        Where each block's begin among them.
+    edge_sd : float
+        How far from its place an edge of shadow may be seen at a pixel, cycles.
     along, across : ndarray (blocks,)
         Mean place from the clip's centre along and across the look, m.
-    group : ndarray of int (blocks,)
-        Blocks, in order, that share a gain.
-    lagging : ndarray (blocks,)
-        Weights with which a straight line is fitted to a block's values, 1/m.
-    base : ndarray (2,)
-        Wave vector of the fold along and across the look, cycles/m.
+    reach, altitude, tilt, spread : ndarray (strips,)
+        Ground range and altitude, m; pi/2 less the grazing angle, rad; half the width of the log of
+        the ray's slope.
+    group : ndarray of int (strips,)
+        Strips, in order, that share a gain.
+    lagging : ndarray (strips,)
+        Weights with which a straight line is fitted to a strip's values, 1/m.
+    zero : float
+        Ripple phase, rad, at the first bin's beginning, at the reference.
+    reference : ndarray (3,)
+        Phase at the clip's centre, rad, and wave vector along and across the look, cycles/m, that
+        pixels were folded by.
     wave, wave_precision : ndarray (2,)
-        What the phases alone say about that wave vector, and its precision, (m/cycle)^2.
+        What a field's phases alone say about the wave vector, and its precision, (m/cycle)^2.
     look : float
         Azimuth of the look, rad.
     table : ndarray
@@ -62,36 +65,37 @@ class FoldData(NamedTuple):
     table_steepness : float
         Its largest steepness.
     blur, blur_bounds : ndarray (2,)
-        Mean of the log of the blur, and its precision; least and largest.
+        Mean of the blur, and its precision; least and largest.
+    pixel : float
+        Wavelengths a pixel.
     power : float
         One over the noise factor.
-    profile, shadow, field : int
-        Which profile; whether shadow falls (2 by the crest rule); whether there is a phase field.
+    profile, shadow, field, fine : int
+        Which profile; whether shadow falls (2 by the crest rule); whether there is a phase field;
+        whether bins follow the edges of shadow.
     """
 
-    pixels: FloatArray
+    known: FloatArray
     total: FloatArray
-    log_mean: FloatArray
-    phase: FloatArray
-    half: FloatArray
     cosine: FloatArray
     sine: FloatArray
     ahead: FloatArray
-    farther: FloatArray
     steeper: FloatArray
     flat: FloatArray
-    dither: FloatArray
-    leak: float
-    guard: float
+    dark: FloatArray
+    edges: FloatArray
+    edge_start: NDArray[np.int64]
+    edge_sd: float
+    along: FloatArray
+    across: FloatArray
     reach: FloatArray
     altitude: FloatArray
     tilt: FloatArray
     spread: FloatArray
-    along: FloatArray
-    across: FloatArray
     group: NDArray[np.int64]
     lagging: FloatArray
-    base: FloatArray
+    zero: float
+    reference: FloatArray
     wave: FloatArray
     wave_precision: FloatArray
     look: float
@@ -99,10 +103,12 @@ class FoldData(NamedTuple):
     table_steepness: float
     blur: FloatArray
     blur_bounds: FloatArray
+    pixel: float
     power: float
     profile: int
     shadow: int
     field: int
+    fine: int
 
 
 class PriorData(NamedTuple):

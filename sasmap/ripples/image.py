@@ -82,6 +82,35 @@ class Image:
         per_column, per_row = direction @ self.steps
         return np.asarray(per_column * column + per_row * row)
 
+    def extent(self, direction: FloatArray) -> tuple[float, float]:
+        """Where the valid pixels begin along a unit vector (east, north), and their length, m."""
+        rows, columns = (
+            np.flatnonzero(self.valid.any(axis=1)),
+            np.flatnonzero(self.valid.any(axis=0)),
+        )
+        per_column, per_row = direction @ self.steps
+        places = per_column * (columns[[0, -1]] - (self.shape[1] - 1) / 2) + (
+            per_row * (rows[[0, -1], None] - (self.shape[0] - 1) / 2)
+        )
+        return float(places.min()), float(np.ptp(places)) + 1e-9
+
+    @cached_property
+    def range_limits(self) -> tuple[float, float]:
+        """Least and largest ground range of the valid pixels, m."""
+        reach = self.ground_range[self.valid]
+        return float(reach.min()), float(reach.max())
+
+    @cached_property
+    def mean_altitude(self) -> float:
+        """Of the valid pixels, m."""
+        return float(self.altitude[self.valid].mean())
+
+    @cached_property
+    def mean_range(self) -> float:
+        """Ground range at the clip's centre, by that of the valid pixels, m."""
+        offset = self.project(self.look)[self.valid].mean()
+        return float(self.ground_range[self.valid].mean() - offset)
+
     def per_pixel(self, wave: FloatArray) -> FloatArray:
         """Cycles a column and a row of a wave vector (east, north) in cycles/m."""
         return np.asarray(wave @ self.steps)

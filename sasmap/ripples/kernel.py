@@ -4,14 +4,18 @@ numba keeps compiled code on disk and notices a change only in the file of the f
 compiled; what calls across files could go on using an older version of what it calls.
 
 The intensity of fully developed speckle is exponential about m = G (lit fraction * a*^2 + n0). Its
-likelihood over the pixels of a bin depends on them only through their number and sum; the gain G
-of each block of range is integrated out exactly under its scale-invariant prior 1/G:
+likelihood over pixels of one m depends on them only through their number and sum; the gain G of
+each group of strips is integrated out exactly under its scale-invariant prior 1/G:
 
-    log L = sum over blocks of  - sum n log s - N log(sum total / s),      s = m / G,  N = sum n
+    log L = sum over groups of  - sum n log s - N log(sum total / s),      s = m / G,  N = sum n
 
 A saturated pixel adds to the sum alone: its intensity is known to be at least that. The likelihood
 is raised to the power of one over the noise factor, by which correlated and textured speckle says
 less than as many independent pixels.
+
+Where crests are straight, edges of shadow are known to a part of a pixel: pixels near one are
+looked at one by one, and may lie on either side of it. Where crests bend, pulses are modelled on an
+even grid of phase.
 
 The parameters theta are those of :mod:`sasmap.ripples.folded`.
 """
@@ -24,27 +28,24 @@ import numpy as np
 from sasmap.ripples.scattering import SIGMA_VARIANCE
 
 SIZE = 6
-# Bins of phase in a block, and the width of one, rad.
-BINS = 64
-BIN = 2.0 * np.pi / BINS
 # Receiver noise: about 20 dB below the sea floor, give or take a factor of e^2.
 NOISE_MEAN, NOISE_SD = float(np.log(0.01)), 2.0
 NOISE_BOUNDS = (float(np.log(1e-6)), float(np.log(10.0)))
 # With a phase field the fundamental's phase is the field's, to this standard deviation, rad.
 PHASE_SD = 0.1
+# How far behind its place the beginning of shadow may be seen, pixels: there the ray only grazes
+# the floor, and an image knows the floor by its pixels.
+SLIP_SD = 0.25
 SINE, STOKES, PEAKED = 0, 1, 2
-# Slope of the ray, over that at which shadow sets in, within which its edges are found bin by bin.
-ONSET = (0.92, 1.06)
-# Rays of a block that meet shadow, over their range of log slope, and their weights (Gauss and
+# Rays of a strip that meet shadow, over their range of log slope, and their weights (Gauss and
 # Legendre).
 RAYS = (0.0469100770, 0.2307653449, 0.5, 0.7692346551, 0.9530899230)
 RAY_WEIGHTS = (0.1184634425, 0.2393143352, 0.2844444444, 0.2393143352, 0.1184634425)
-# Pixels that count in a bin all in shadow: its level is not the same everywhere to better than
-# about a fourth.
-SHADOW_PIXELS = 16.0
+# Children a generation of the evolution that climbs.
+CHILDREN = 12
 # Weight of steps by differences of two members, and of nuisances drawn from near their prior; the
 # others are drawn anew.
-LOCAL, NUISANCE = 0.25, 0.15
+LOCAL, NUISANCE = 0.1, 0.15
 # Degrees of freedom of the kernels: with SIZE 6 their density is an inverse seventh power.
 STUDENT = 8.0
 
@@ -71,26 +72,6 @@ def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
                 product = (theta[i] - prior.mean[i]) * (theta[j] - prior.mean[j])
                 value -= 0.5 * prior.precision[i, j] * product
     return value
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _share(position, half, other, leak):  # type: ignore[no-untyped-def]
-    """Share of a bin's pixels that lie before a position relative to its centre.
-
-    All but a share `leak` on each side lie as the sum of two even spreads of these half-widths;
-    the rest within a bin more.
-    """
-    wide, narrow = max(half, other), max(min(half, other), 1e-6)
-    distance = abs(position)
-    tail = 0.0
-    if distance <= wide - narrow:
-        tail = 0.5 - 0.5 * distance / wide
-    elif distance < wide + narrow:
-        tail = (wide + narrow - distance) ** 2 / (8.0 * wide * narrow)
-    if leak > 0.0:
-        beyond = min(max((distance - wide) / BIN, 0.0), 1.0)
-        tail = leak * (1.0 - beyond) + (1.0 - 2.0 * leak) * tail
-    return 1.0 - tail if position > 0.0 else tail
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -181,240 +162,329 @@ def _edges_seen(theta, data, block, farther, full, steepness, edges):  # type: i
     return edges[1] > edges[0]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hidden(past, begin, end, half, first, last, leak):  # type: ignore[no-untyped-def]
-    """Share of a bin in shadow: its phase past the crest, edges, half-widths of it and of both."""
-    hidden = _share(end - past, half, last, leak) - _share(begin - past, half, first, leak)
-    turn, reach = 2.0 * np.pi, half + max(first, last) + BIN
-    for k in range(2):
-        if k == 0 and past < reach:
-            moved = past + turn
-        elif k == 1 and past > turn - reach:
-            moved = past - turn
-        else:
-            continue
-        hidden += _share(end - moved, half, last, leak) - _share(begin - moved, half, first, leak)
-    return min(max(hidden, 0.0), 1.0)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _distance(past, begin, end):  # type: ignore[no-untyped-def]
-    """Distance of a phase past the crest from the nearer edge of a shadow, around the circle."""
-    first, last = abs(past - begin), abs(past - end)
-    return min(first, 2.0 * np.pi - first, last, abs(2.0 * np.pi - last))
+def _lit(i, block, turn, swing, change, full, data):  # type: ignore[no-untyped-def]
+    """Intensity a*^2 of a bin of straight crests out of shadow.
+
+    `turn` holds cosine and sine of the phase that bins are ahead, and how that grows, rad/m.
+    """
+    c = data.cosine[block, i] * turn[0] - data.sine[block, i] * turn[1]
+    s = data.sine[block, i] * turn[0] + data.cosine[block, i] * turn[1]
+    more = turn[2] * data.ahead[block, i]
+    c, s = c - more * s, s + more * c
+    reach = swing + change * data.steeper[block, i]
+    a = max(1.0 + reach * _slope_of(c, s, full, data.profile), 0.0)
+    return a * a * data.flat[block, i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def block_intensity(theta, data, block, offset, stretch, blur, shape, weight):  # type: ignore[no-untyped-def]
-    """Fill s = lit a*^2 + n0 of straight crests' bins, over the flat sea floor, and weights.
+def _edge_value(block, begin, end, theta, along, across, swing, full, gain, data):  # type: ignore[no-untyped-def]
+    """Log likelihood of a block's pixels near edges of shadow, each on either side of its edge.
 
-    `offset` is what the ripple's phase is ahead of the bins', `stretch` how that grows along the
-    look, rad/m, and `blur` how far (rad) crests stray.
+    `begin` and `end` of shadow are cycles past the crest, `along` and `across` the wave vector
+    beyond the fold's. Gaussian jitter of the edge as a logistic law of the same spread.
     """
-    along = np.cos(theta[2] - data.look)
-    full = 2.0 * np.pi * theta[0] * theta[1]
-    steepness = full * along
-    swing, change = _swing(full, steepness, data, block)
-    damping = np.exp(-0.5 * blur * blur)
-    swing, change = damping * swing, damping * change
     noise = np.exp(theta[4])
-    edges = np.zeros(8)
-    shadowed, onset = False, False
-    first_past, last_past = 0.0, 2.0 * np.pi  # phases past the crest beyond which all is lit
-    if data.shadow > 0 and steepness > 0.0:
-        shadowed = _edges_seen(theta, data, block, 0.0, full, steepness, edges)
-        limit = _shadow_limit(full, data)
-        ratio = data.altitude[block] / data.reach[block] / (steepness * limit)
-        onset = ONSET[0] < ratio < ONSET[1]  # edges part too fast for a straight line through them
-    widen = np.sqrt(3.0) * blur
-    first = np.hypot(data.spread[block] * edges[2], widen)
-    last = np.hypot(data.spread[block] * edges[3], widen)
-    if onset:
-        lowest = data.farther[block].min()
-        onset = _edges_seen(theta, data, block, lowest, full, steepness, edges)
-        widest = data.half[block].max()
-        margin = widest + max(widest + data.guard, widen + BIN)
-        first_past, last_past = edges[0] - margin, edges[1] + margin
-        shadowed = onset
-    cos_offset, sin_offset = np.cos(offset), np.sin(offset)
-    for i in range(shape.size):
-        weight[i] = 1.0
-        if data.total[block, i] == 0.0:
-            shape[i] = 1.0  # no pixel asks
-            continue
-        c = data.cosine[block, i] * cos_offset - data.sine[block, i] * sin_offset
-        s = data.sine[block, i] * cos_offset + data.cosine[block, i] * sin_offset
-        more = stretch * data.ahead[block, i]
-        c, s = c - more * s, s + more * c
-        reach = swing + change * data.steeper[block, i]
-        a = max(1.0 + reach * _slope_of(c, s, full, data.profile), 0.0)
-        value = a * a * data.flat[block, i]
-        if shadowed:
-            past = data.phase[block, i] + offset + more - 0.5 * np.pi
-            past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))
-            if past < first_past or past > last_past:
-                shape[i] = value + noise
-                continue
-            half, farther = data.half[block, i], data.farther[block, i]
-            begin, end = edges[0] + edges[2] * farther, edges[1] + edges[3] * farther
-            hidden, near = 0.0, np.inf
-            seen = True
-            if onset:
-                seen = _edges_seen(theta, data, block, farther, full, steepness, edges)
-                begin, end, first, last = edges[0], edges[1], widen, widen
-            if seen:
-                hidden = _hidden(past, begin, end, half, first, last, data.leak)
-                near = _distance(past, begin, end)
-            value *= 1.0 - hidden
-            # of lit and dark pixels together the intensity varies 2 / lit - 1 times as much
-            lit = 1.0 - hidden
-            dark = min(SHADOW_PIXELS / max(data.pixels[block, i], 1.0), 1.0)
-            weight[i] = max(lit / (2.0 - lit), dark)
-            beyond = min(max((near - half) / data.guard, 0.0), 1.0)
-            weight[i] *= data.dither[block, i] + (1.0 - data.dither[block, i]) * beyond * beyond
-        shape[i] = value + noise
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def field_intensity(theta, data, block, offset, shape):  # type: ignore[no-untyped-def]
-    """Fill s = lit a*^2 + n0 of a block's bins where crests bend, without the field's error.
-
-    Shadow is averaged over the rays of the block, from the steepest to the lowest.
-    """
-    full = 2.0 * np.pi * theta[0] * theta[1]
-    steepness = full * np.cos(theta[2] - data.look)
-    swing, _ = _swing(full, steepness, data, block)
-    hidden = np.zeros(shape.size)
-    edges = np.zeros(8)
-    spread = max(data.spread[block], 1e-6)
-    length = 0.0  # of the part of the rays, by log slope, that meets shadow
-    if data.shadow > 0 and steepness > 0.0:
-        ratio = data.altitude[block] / data.reach[block] / steepness
-        length = min(spread, np.log(_shadow_limit(full, data) / ratio)) + spread
-    for k in range(len(RAYS) if length > 0.0 else 0):
-        farther = RAYS[k] * length - spread
-        if not _edges_seen(theta, data, block, farther, full, steepness, edges):
-            continue
-        share = RAY_WEIGHTS[k] * 0.5 * length / spread
-        for i in range(shape.size):
-            past = data.phase[block, i] + offset - 0.5 * np.pi
-            past -= 2.0 * np.pi * np.floor(past / (2.0 * np.pi))
-            half = data.half[block, i]
-            hidden[i] += share * _hidden(past, edges[0], edges[1], half, 0.0, 0.0, 0.0)
-    noise = np.exp(theta[4])
-    cos_offset, sin_offset = np.cos(offset), np.sin(offset)
-    for i in range(shape.size):
-        c = data.cosine[block, i] * cos_offset - data.sine[block, i] * sin_offset
-        s = data.sine[block, i] * cos_offset + data.cosine[block, i] * sin_offset
-        a = max(1.0 + swing * _slope_of(c, s, full, data.profile), 0.0)
-        shape[i] = a * a * (1.0 - hidden[i]) + noise
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def fundamental_lag(shape, data, block):  # type: ignore[no-untyped-def]
-    """Phase of a pulse's fundamental: how far its brightest part lies past phase zero, rad."""
-    real, imaginary = 0.0, 0.0
-    for i in range(shape.size):
-        real += shape[i] * data.cosine[block, i]
-        imaginary += shape[i] * data.sine[block, i]
-    return np.arctan2(imaginary, real)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _smeared(shape, sd, scratch):  # type: ignore[no-untyped-def]
-    """Convolve a pulse on an even grid of phases with a Gaussian of sd rad, in place."""
-    n = shape.size
-    step = 2.0 * np.pi / n
-    reach = min(int(np.ceil(3.0 * sd / step)), n // 2 - 1)
-    if reach < 1:
-        return
-    scratch[:] = shape
-    total = 1.0
-    for k in range(1, reach + 1):
-        total += 2.0 * np.exp(-0.5 * (k * step / sd) ** 2)
-    for i in range(n):
-        shape[i] = scratch[i] / total
-    for k in range(1, reach + 1):
-        share = np.exp(-0.5 * (k * step / sd) ** 2) / total
-        for i in range(n):
-            shape[i] += share * (scratch[(i + k) % n] + scratch[i - k])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def block_model(theta, data, block, shape, weight, scratch):  # type: ignore[no-untyped-def]
-    """Fill a block's intensity bin by bin as the image shows it, and weights; return the lag.
-
-    With a phase field the bins' phase is that of the image's fundamental, which lies past the
-    ripple's own by the lag, and the field's error smears the pulse.
-    """
-    if data.field == 0:
-        along = theta[0] * np.cos(theta[2] - data.look) - data.base[0]
-        across = theta[0] * np.sin(theta[2] - data.look) - data.base[1]
-        place = along * data.along[block] + across * data.across[block]
-        offset = theta[3] + 2.0 * np.pi * place
-        stretch = 2.0 * np.pi * along
-        block_intensity(theta, data, block, offset, stretch, np.exp(theta[5]), shape, weight)
-        return 0.0
-    field_intensity(theta, data, block, 0.0, shape)
-    lag = fundamental_lag(shape, data, block)
-    field_intensity(theta, data, block, lag + theta[3], shape)
-    _smeared(shape, np.exp(theta[5]), scratch)
-    weight[:] = 1.0
-    return lag
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_likelihood(theta, data):  # type: ignore[no-untyped-def]
-    """Speckle log likelihood with the blocks' gains integrated out, up to a constant."""
-    blocks, bins = data.pixels.shape
-    shape = np.empty(bins)
-    weight = np.empty(bins)
-    scratch = np.empty(bins)
-    value, bend, previous = 0.0, 0.0, 0.0
-    pixels, logs, scaled = 0.0, 0.0, 0.0
-    for block in range(blocks):
-        lag = block_model(theta, data, block, shape, weight, scratch)
-        lag = previous + (lag - previous + np.pi) % (2.0 * np.pi) - np.pi
-        previous = lag
-        bend += data.lagging[block] * lag
-        for i in range(bins):
-            if data.total[block, i] == 0.0:
-                continue
-            n = weight[i] * data.pixels[block, i]
-            pixels += n
-            # a true model loses half a unit to a bin's own mean: no reason to prefer light bins
-            value += 0.5 * weight[i]
-            logs += n * (np.log(shape[i]) - data.log_mean[block, i])
-            scaled += weight[i] * data.total[block, i] / shape[i]
-        if block + 1 == blocks or data.group[block + 1] != data.group[block]:
-            if pixels > 0.0:
-                value -= logs + pixels * np.log(scaled / pixels)
-            pixels, logs, scaled = 0.0, 0.0, 0.0
-    value *= data.power
-    along = theta[0] * np.cos(theta[2] - data.look) - bend / (2.0 * np.pi) - data.wave[0]
-    across = theta[0] * np.sin(theta[2] - data.look) - data.wave[1]
-    value -= 0.5 * (along**2 * data.wave_precision[0] + across**2 * data.wave_precision[1])
+    log_noise, log_gain = np.log(noise), np.log(gain)
+    value = 0.0
+    for k in range(data.edge_start[block], data.edge_start[block + 1]):
+        place = along * data.edges[k, 4] + across * data.edges[k, 5]
+        offset = theta[3] - data.reference[0] + 2.0 * np.pi * place
+        phase = 2.0 * np.pi * data.edges[k, 2] + data.zero + offset
+        past = phase / (2.0 * np.pi) - 0.25 - data.edges[k, 3]
+        inside = past - begin if data.edges[k, 1] == 0.0 else end - past
+        inside -= np.floor(inside + 0.5)
+        if end <= begin:
+            inside = -1.0
+        odds = 1.7 * inside / data.edge_sd
+        slope = _slope_of(np.cos(phase), np.sin(phase), full, data.profile)
+        a = max(1.0 + swing * slope, 0.0)
+        level = a * a * data.flat[block, 0] + noise
+        y = data.edges[k, 6] / gain
+        # log of (dark * e^odds + lit) / (1 + e^odds)
+        dark = odds - y / noise - log_noise
+        lit = -y / level - np.log(level)
+        value += max(dark, lit) + np.log1p(np.exp(-abs(dark - lit))) - log_gain + 1.0
+        value -= max(odds, 0.0) + np.log1p(np.exp(-abs(odds)))
     return value
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def pulses(theta, data):  # type: ignore[no-untyped-def]
-    """Intensity of each block and bin as the image shows it, gain included (blocks, bins)."""
-    blocks, bins = data.pixels.shape
-    result = np.empty((blocks, bins))
-    weight = np.empty((blocks, bins))
-    scratch = np.empty(bins)
-    first, pixels, scaled = 0, 0.0, 0.0
-    for block in range(blocks):
-        block_model(theta, data, block, result[block], weight[block], scratch)
+def _shadow_of(theta, data, block, edges):  # type: ignore[no-untyped-def]
+    """Begin and end of a block's shadow, cycles past the crest; end first where there is none."""
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    steepness = full * np.cos(theta[2] - data.look)
+    if data.shadow == 0 or not steepness > 0.0:
+        return 1.0, 0.0
+    if not _edges_seen(theta, data, block, 0.0, full, steepness, edges):
+        return 1.0, 0.0
+    begin, end = edges[0] / (2.0 * np.pi), edges[1] / (2.0 * np.pi)
+    return begin + min(theta[5] * data.pixel, 0.5 * (end - begin)), end
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def shadow_places(theta, data):  # type: ignore[no-untyped-def]
+    """Begin and end of shadow in each block, cycles past the crest (blocks, 2)."""
+    result = np.empty((data.reach.size, 2))
+    edges = np.zeros(8)
+    for block in range(data.reach.size):
+        result[block] = _shadow_of(theta, data, block, edges)
+    return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def shadow_limit(theta, data):  # type: ignore[no-untyped-def]
+    """Slope of the ray at which shadow sets in."""
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    return full * np.cos(theta[2] - data.look) * _shadow_limit(full, data)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def straight_likelihood(theta, data):  # type: ignore[no-untyped-def]
+    """Speckle log likelihood of straight crests, pixel by pixel near the edges of shadow."""
+    strips, bins = data.group.size, data.known.shape[1]
+    blocks = data.along.size // strips
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    along = theta[0] * np.cos(theta[2] - data.look) - data.reference[1]
+    across = theta[0] * np.sin(theta[2] - data.look) - data.reference[2]
+    steepness = full * np.cos(theta[2] - data.look)
+    noise = np.exp(theta[4])
+    log_noise = np.log(noise)
+    places, turn = np.zeros(8), np.zeros(3)
+    near = np.zeros((data.along.size, 3))
+    turn[2] = 2.0 * np.pi * along
+    value, altitude, first = 0.0, 0.0, 0
+    pixels, logs, scaled = 0.0, 0.0, 0.0
+    swing, change, begin, end = 0.0, 0.0, 1.0, 0.0
+    for block in range(data.along.size):
+        if block % blocks == 0 or data.altitude[block] != altitude:
+            altitude = data.altitude[block]
+            swing, change = _swing(full, steepness, data, block)
+            begin, end = _shadow_of(theta, data, block, places)
+        near[block, 0], near[block, 1], near[block, 2] = begin, end, swing
+        place = along * data.along[block] + across * data.across[block]
+        offset = theta[3] - data.reference[0] + 2.0 * np.pi * place
+        turn[0], turn[1] = np.cos(offset), np.sin(offset)
         for i in range(bins):
             if data.total[block, i] > 0.0:
-                pixels += weight[block, i] * data.pixels[block, i]
-                scaled += weight[block, i] * data.total[block, i] / result[block, i]
-        if block + 1 == blocks or data.group[block + 1] != data.group[block]:
+                level = _lit(i, block, turn, swing, change, full, data) + noise
+                logs += data.known[block, i] * np.log(level)
+                scaled += data.total[block, i] / level
+                pixels += data.known[block, i]
+        logs += data.dark[block, 0] * log_noise
+        scaled += data.dark[block, 1] / noise
+        pixels += data.dark[block, 0]
+        strip = (block + 1) // blocks
+        if (block + 1) % blocks > 0 or (
+            strip < strips and data.group[strip] == data.group[strip - 1]
+        ):
+            continue
+        if pixels > 0.0:
+            gain = scaled / pixels
+            value -= logs + pixels * np.log(gain)
+            for k in range(first, block + 1):
+                value += _edge_value(
+                    k, near[k, 0], near[k, 1], theta, along, across, near[k, 2], full, gain, data
+                )
+        pixels, logs, scaled = 0.0, 0.0, 0.0
+        first = block + 1
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _hide(hidden, begin, end, share):  # type: ignore[no-untyped-def]
+    """Add a shadow (phases past the crest, rad) to the steps of the hidden share over bins."""
+    n = hidden.size - 2
+    for k in range(2):
+        place = ((begin if k == 0 else end) / (2.0 * np.pi) + 0.25) * n
+        wound = np.floor(place / n)
+        place -= wound * n
+        i = min(int(place), n - 1)
+        sign = share if k == 0 else -share
+        hidden[i] += sign * (i + 1.0 - place)
+        hidden[i + 1] += sign * (place - i)
+        hidden[n + 1] += sign * wound  # taken from or added to the whole circle
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def even_intensity(theta, data, strip, shape, hidden):  # type: ignore[no-untyped-def]
+    """Fill lit a*^2 on an even grid of the ripple's phase.
+
+    Shadow is averaged over the rays of the strip, from the steepest to the lowest. `hidden` is
+    scratch, two longer than `shape`.
+    """
+    n = shape.size
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    steepness = full * np.cos(theta[2] - data.look)
+    swing, _ = _swing(full, steepness, data, strip)
+    hidden[:] = 0.0
+    edges = np.zeros(8)
+    spread = max(data.spread[strip], 1e-6)
+    length = 0.0  # of the part of the rays, by log slope, that meets shadow
+    if data.shadow > 0 and steepness > 0.0:
+        ratio = data.altitude[strip] / data.reach[strip] / steepness
+        length = min(spread, np.log(_shadow_limit(full, data) / ratio)) + spread
+    for k in range(len(RAYS) if length > 0.0 else 0):
+        farther = RAYS[k] * length - spread
+        if _edges_seen(theta, data, strip, farther, full, steepness, edges):
+            _hide(hidden, edges[0], edges[1], RAY_WEIGHTS[k] * 0.5 * length / spread)
+    dark = -hidden[n + 1]
+    for i in range(n):
+        dark += hidden[i]
+        slope = _slope_of(data.cosine[strip, i], data.sine[strip, i], full, data.profile)
+        a = max(1.0 + swing * slope, 0.0)
+        shape[i] = a * a * (1.0 - min(max(dark, 0.0), 1.0))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shifted(shape, shift, sd, seen):  # type: ignore[no-untyped-def]
+    """Fill a pulse on an even grid of phases, seen `shift` rad later and smeared by sd rad."""
+    n = shape.size
+    place = shift * n / (2.0 * np.pi)
+    whole = int(np.floor(place + 0.5))
+    width = sd * n / (2.0 * np.pi)
+    reach = min(int(np.ceil(3.0 * width + 0.5)), n // 2 - 1)
+    seen[:] = 0.0
+    total = 0.0
+    for k in range(-reach, reach + 1):
+        weight = np.exp(-0.5 * ((k + whole - place) / width) ** 2)
+        total += weight
+        start = (k + whole) % n
+        for i in range(n - start):
+            seen[i] += weight * shape[i + start]
+        for i in range(n - start, n):
+            seen[i] += weight * shape[i + start - n]
+    seen /= total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fundamental_lag(shape, data, strip):  # type: ignore[no-untyped-def]
+    """Phase of a pulse's fundamental: how far its brightest part lies past phase zero, rad."""
+    real, imaginary = 0.0, 0.0
+    for i in range(shape.size):
+        real += shape[i] * data.cosine[strip, i]
+        imaginary += shape[i] * data.sine[strip, i]
+    return np.arctan2(imaginary, real)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def even_pulse(theta, data, strip, shape, hidden, seen):  # type: ignore[no-untyped-def]
+    """Fill a strip's intensity as the image shows it on an even grid of phase; return the lag.
+
+    With a phase field the bins' phase is that of the image's fundamental, which lies past the
+    ripple's own by the lag, and the field's error smears the pulse.
+    """
+    even_intensity(theta, data, strip, shape, hidden)
+    lag = 0.0
+    if data.field == 1:
+        lag = fundamental_lag(shape, data, strip)
+        _shifted(shape, lag + theta[3], np.exp(theta[5]), seen)
+    else:
+        along = theta[0] * np.cos(theta[2] - data.look) - data.reference[1]
+        across = theta[0] * np.sin(theta[2] - data.look) - data.reference[2]
+        place = along * data.along[strip] + across * data.across[strip]
+        _shifted(shape, theta[3] - data.reference[0] + 2.0 * np.pi * place, np.exp(theta[5]), seen)
+    noise = np.exp(theta[4])
+    for i in range(seen.size):
+        seen[i] = seen[i] * data.flat[strip, i] + noise
+    return lag
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def even_likelihood(theta, data):  # type: ignore[no-untyped-def]
+    """Speckle log likelihood of pulses on an even grid of phase."""
+    strips, bins = data.known.shape
+    shape, seen = np.empty(bins), np.empty(bins)
+    hidden = np.empty(bins + 2)
+    value, bend, previous = 0.0, 0.0, 0.0
+    pixels, logs, scaled = 0.0, 0.0, 0.0
+    for strip in range(strips):
+        lag = even_pulse(theta, data, strip, shape, hidden, seen)
+        lag = previous + (lag - previous + np.pi) % (2.0 * np.pi) - np.pi
+        previous = lag
+        bend += data.lagging[strip] * lag
+        for i in range(bins):
+            if data.total[strip, i] > 0.0:
+                pixels += data.known[strip, i]
+                logs += data.known[strip, i] * np.log(seen[i])
+                scaled += data.total[strip, i] / seen[i]
+        if strip + 1 == strips or data.group[strip + 1] != data.group[strip]:
+            if pixels > 0.0:
+                value -= logs + pixels * np.log(scaled / pixels)
+            pixels, logs, scaled = 0.0, 0.0, 0.0
+    value *= data.power
+    if data.field == 1:
+        along = theta[0] * np.cos(theta[2] - data.look) - bend / (2.0 * np.pi) - data.wave[0]
+        across = theta[0] * np.sin(theta[2] - data.look) - data.wave[1]
+        value -= 0.5 * (along**2 * data.wave_precision[0] + across**2 * data.wave_precision[1])
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_likelihood(theta, data):  # type: ignore[no-untyped-def]
+    """Speckle log likelihood with the gains integrated out, up to a constant."""
+    if data.fine == 1:
+        return straight_likelihood(theta, data) * data.power
+    return even_likelihood(theta, data)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def straight_pulse(theta, data, block, edges, seen, clear):  # type: ignore[no-untyped-def]
+    """Fill the mean intensity of a straight block's bins, and which are lit and clear of edges."""
+    n = seen.size
+    full = 2.0 * np.pi * theta[0] * theta[1]
+    steepness = full * np.cos(theta[2] - data.look)
+    swing, change = _swing(full, steepness, data, block)
+    begin, end = _shadow_of(theta, data, block, edges)
+    along = theta[0] * np.cos(theta[2] - data.look) - data.reference[1]
+    across = theta[0] * np.sin(theta[2] - data.look) - data.reference[2]
+    place = along * data.along[block] + across * data.across[block]
+    offset = theta[3] - data.reference[0] + 2.0 * np.pi * place
+    turn = np.array([np.cos(offset), np.sin(offset), 2.0 * np.pi * along])
+    first = (data.zero + offset) / (2.0 * np.pi) - 0.25
+    margin = 2.0 * data.pixel + 0.5 / n
+    for i in range(n):
+        hidden = 0.0
+        clear[i] = True
+        if end > begin:
+            past = first + (i + 0.5) / n
+            past -= np.floor(past)
+            inside = min(past - begin, end - past)
+            hidden = min(max(0.5 + inside * n, 0.0), 1.0)
+            clear[i] = inside < -margin and past - 1.0 - begin < -margin
+        lit = _lit(i, block, turn, swing, change, full, data)
+        seen[i] = lit * (1.0 - hidden) + np.exp(theta[4])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def pulses(theta, data):  # type: ignore[no-untyped-def]
+    """Intensity of each block and bin as the image shows it, gain included (blocks, bins).
+
+    And which bins are lit throughout (blocks, bins).
+    """
+    blocks, bins = data.known.shape
+    sides = blocks // data.group.size
+    result = np.empty((blocks, bins))
+    clear = np.ones((blocks, bins), np.bool_)
+    shape, hidden, edges = np.empty(bins), np.empty(bins + 2), np.zeros(8)
+    first, pixels, scaled = 0, 0.0, 0.0
+    for block in range(blocks):
+        if data.fine == 1:
+            straight_pulse(theta, data, block, edges, result[block], clear[block])
+        else:
+            even_pulse(theta, data, block, shape, hidden, result[block])
+        for i in range(bins):
+            if data.total[block, i] > 0.0:
+                pixels += data.known[block, i]
+                scaled += data.total[block, i] / result[block, i]
+        strip = (block + 1) // sides
+        ends = (block + 1) % sides == 0 and (
+            strip == data.group.size or data.group[strip] != data.group[strip - 1]
+        )
+        if ends:
             result[first : block + 1] *= scaled / pixels if pixels > 0.0 else 1.0
             first, pixels, scaled = block + 1, 0.0, 0.0
-    return result
+    return result, clear
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -435,6 +505,8 @@ def climb(theta, step, data, prior, rounds):  # type: ignore[no-untyped-def]
     level = log_posterior(theta, data, prior)
     for _ in range(rounds):
         for i in range(theta.size):
+            if step[i] == 0.0:
+                continue
             old = theta[i]
             moved = False
             for sign in (1.0, -1.0):
@@ -447,6 +519,59 @@ def climb(theta, step, data, prior, rounds):  # type: ignore[no-untyped-def]
                 theta[i] = old
             step[i] *= 1.6 if moved else 0.45
     return level
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def evolve(theta, step, data, prior, generations, rng):  # type: ignore[no-untyped-def]
+    """Climb the log posterior in place by evolution; return it.
+
+    Covariance matrix adaptation (Hansen 2016, arXiv 1604.00772), which follows the bent ridges
+    that edges of shadow make.
+    """
+    n = theta.size
+    weights = np.log(CHILDREN // 2 + 0.5) - np.log(np.arange(1.0, CHILDREN // 2 + 1.0))
+    weights /= weights.sum()
+    mass = 1.0 / (weights**2).sum()
+    path_rate = (mass + 2.0) / (n + mass + 5.0)
+    damping = 1.0 + path_rate + 2.0 * max(0.0, np.sqrt((mass - 1.0) / (n + 1.0)) - 1.0)
+    long_rate = (4.0 + mass / n) / (n + 4.0 + 2.0 * mass / n)
+    one = 2.0 / ((n + 1.3) ** 2 + mass)
+    many = min(1.0 - one, 2.0 * (mass - 2.0 + 1.0 / mass) / ((n + 2.0) ** 2 + mass))
+    usual = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n))
+    mean, size = theta.copy(), 1.0
+    shape, path, long_path = np.eye(n), np.zeros(n), np.zeros(n)
+    normal, moves = np.empty((CHILDREN, n)), np.empty((CHILDREN, n))
+    levels = np.empty(CHILDREN)
+    best = log_posterior(theta, data, prior)
+    for _ in range(generations):
+        factor = np.linalg.cholesky(shape + 1e-9 * np.eye(n))
+        for k in range(CHILDREN):
+            normal[k] = rng.standard_normal(n)
+            moves[k] = factor @ normal[k]
+            child = mean + size * step * moves[k]
+            levels[k] = log_posterior(child, data, prior)
+            if levels[k] > best:
+                best = levels[k]
+                theta[:] = child
+        order = np.argsort(-levels)[: CHILDREN // 2]
+        move, white = np.zeros(n), np.zeros(n)
+        for k in range(order.size):
+            move += weights[k] * moves[order[k]]
+            white += weights[k] * normal[order[k]]
+        mean += size * step * move
+        path = (1.0 - path_rate) * path + np.sqrt(path_rate * (2.0 - path_rate) * mass) * white
+        length = np.sqrt((path**2).sum())
+        steady = 1.0 if length < 1.8 * usual else 0.0
+        long_path = (1.0 - long_rate) * long_path
+        long_path += steady * np.sqrt(long_rate * (2.0 - long_rate) * mass) * move
+        shape *= 1.0 - one - many
+        for i in range(n):
+            for j in range(n):
+                shape[i, j] += one * long_path[i] * long_path[j]
+                for k in range(order.size):
+                    shape[i, j] += many * weights[k] * moves[order[k], i] * moves[order[k], j]
+        size *= np.exp(min(path_rate / damping * (length / usual - 1.0), 0.6))
+    return best
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -490,6 +615,15 @@ def log_target(x, data, prior, power):  # type: ignore[no-untyped-def]
         return value
     value += np.log(stretch)
     return value + power * log_likelihood(theta, data) if power > 0.0 else value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_targets(points, data, prior, power):  # type: ignore[no-untyped-def]
+    """:func:`log_target` of several points (n, SIZE)."""
+    result = np.empty(points.shape[0])
+    for k in range(points.shape[0]):
+        result[k] = log_target(points[k], data, prior, power)
+    return result
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -547,10 +681,10 @@ def run_chain(state, proposal, data, prior, rng, draws):  # type: ignore[no-unty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _refresh(current, data, rng, proposed):  # type: ignore[no-untyped-def]
-    """Fill a state with another noise floor or blur: steps as wide as the prior, or a tenth."""
+    """Fill a state with another nuisance: a step as wide as its prior, or down to a tenth."""
     proposed[:] = current
     width = 10.0 ** (-rng.random())
-    if rng.random() < 0.6:
+    if rng.random() < 0.5:
         proposed[4] += width * NOISE_SD * rng.normal()
     else:
         proposed[5] += width / np.sqrt(data.blur[1]) * rng.normal()

@@ -12,7 +12,7 @@ from sasmap.ripples.fit import Fit
 from sasmap.ripples.fold import fold_plan
 from sasmap.ripples.image import Image
 from sasmap.ripples.kernel import pulses
-from sasmap.ripples.pixels import unfold_pixels
+from sasmap.ripples.pixels import spread_boxes, unfold_pixels
 
 FloatArray = NDArray[np.float64]
 
@@ -43,11 +43,13 @@ def modelled_amplitude(clip: Clip, image: Image, fit: Fit, draws: FloatArray) ->
         return result
     every = draws.reshape(-1, draws.shape[-1])
     chosen = every[:: max(len(every) // DRAWS, 1)]
-    mean = np.mean([np.sqrt(pulses(theta, fit.data)) for theta in chosen], axis=0)
+    mean = np.mean([np.sqrt(pulses(theta, fit.data)[0]) for theta in chosen], axis=0)
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
     known = geometry & phase.pixels(phase.spread_cover(), image.shape)
-    amplitude = unfold_pixels(known, fold_plan(image, whole, np.sqrt(fit.trend)), mean)
-    result[known] = RAYLEIGH * image.rms * amplitude[known]
+    plan, _, _ = fold_plan(image, whole, fit.reference)
+    amplitude = unfold_pixels(known, whole.cycles(image.shape), plan, mean)
+    trend = np.sqrt(spread_boxes(fit.trend, phase.box, image.shape))
+    result[known] = RAYLEIGH * image.rms * amplitude[known] * trend[known]
     return result

@@ -9,7 +9,7 @@ phase; the smoothing is the one that predicts the others best.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.fft import fft2, ifft2, next_fast_len
 from scipy.ndimage import binary_closing
 
 from sasmap.ripples.image import Image
-from sasmap.ripples.pixels import box_sums
+from sasmap.ripples.pixels import box_sums, field_cycles
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -30,15 +30,16 @@ MAX_BOXES = 160
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
 STIFFNESS = (0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
 TREND_SD = 1.5
-# A field that predicts this much of what it would if crests were straight adds nothing.
-STRAIGHT = 0.985
+# What a field of each stiffness must at least predict, of what straight crests do: a stiffness of
+# parts of a wave takes the pulse's own shape for phase.
+STRAIGHT = np.array([1.05, 1.025, 1.015, 1.01, 1.01, 1.01, 1.01, 1.01])
 # Local amplitude, over that of the clip's rippled part, of places without ripples.
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
 FULL = 0.8
 MAX_ROUNDS = 8
-# What straight crests stray, rad, and how well its log is known.
-BLUR, BLUR_SD = 0.02, 1.0
+# What a first search for straight crests takes their pulse to be smeared by, rad, give or take.
+BLUR, BLUR_SD = 0.12, 1.0
 # Share of the phase's wander that its mean slope may be wrong by, and turns over the clip that a
 # fork leaves open (root of their number).
 WANDER_SHARE, FORK_TURN = 0.3, 0.06
@@ -128,6 +129,12 @@ class PhaseField:
         """Rippled boxes and the holes among them."""
         return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])
 
+    def cycles(self, shape: tuple[int, int]) -> FloatArray:
+        """Phase of the field at every pixel, cycles; empty where crests are straight."""
+        if self.rigid:
+            return np.empty((0, 0))
+        return np.asarray(field_cycles(self.even, self.odd, self.box, self.tiles, shape))
+
     def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
         """Spread a mask of boxes to the image's pixels."""
         if boxes.all():
@@ -172,6 +179,28 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
     square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
     variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
     return Boxes(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6))
+
+
+def rewaved(image: Image, boxes: Boxes, wave: FloatArray) -> Boxes:
+    """Demodulate at a nearby wave what is demodulated already: turn the boxes.
+
+    Parameters
+    ----------
+    image : Image
+    boxes : Boxes
+    wave : ndarray (2,)
+        Wave vector (east, north), cycles/m, off by little over a box.
+
+    Returns
+    -------
+    Boxes
+    """
+    along, across = _places(image, boxes)
+    look = image.look
+    change = wave - boxes.wave
+    beside = change @ np.array([look[1], -look[0]])
+    turn = np.exp(-2j * np.pi * (change @ look * along + beside * across))
+    return replace(boxes, wave=wave, turned=boxes.turned * turn)
 
 
 class _Smoother:

@@ -8,15 +8,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.scattering import SIGMA_VARIANCE
-
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Parts of a bin of phase, to tell pixels spread over it from whole columns at one phase.
-DITHER = 32
 # Sums of a fold over each bin, in this order.
-COUNT, KNOWN, TOTAL, PHASE, PHASE2, LOG_SLOPE, LOG_SLOPE2, TILT, FLAT, ALONG, SUMS = range(11)
+COUNT, KNOWN, TOTAL, PHASE, ALONG, SUMS = range(6)
+# What is kept of a pixel near an edge of shadow: its block, whether the edge is where shadow ends,
+# its phase (cycles), how far the edge there lies from the block's (cycles), its place along and
+# across the look (m), and its intensity.
+EDGE_PARTS = 7
+# The golden ratio's multiples are even on the circle: they tell which pixels are kept.
+GOLDEN = 0.6180339887498949
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -79,36 +81,48 @@ class FoldPlan(NamedTuple):
     ----------
     per_pixel : ndarray (2,)
         Cycles a column and a row of the wave.
+    origin : float
+        Phase at the clip's centre, cycles.
     along, across : ndarray (2,)
         Metres along and across the look a column and a row.
-    start, width : float
-        Of blocks along the look, m.
-    blocks, bins : int
-    box : int
-        Pixels a box of the arrays below.
-    trend : ndarray (box rows, box columns)
-        What the intensity is divided by.
-    even, odd : ndarray of complex (box rows, box columns)
-        Unit phasors of the phase field from even and odd boxes; ones without a field.
-    tiles : int
-        Boxes a side of the squares of which odd and even ones alternate.
-    field : bool
-        Whether a pixel takes its phase from the field of the other parity.
+    start, cells : float
+        Where cells of `strip` begin along the look, m, and their number a metre.
+    strip : ndarray of int (cells,)
+        Strip of each cell.
+    centre : ndarray (strips,)
+        Place of strips along the look, m.
+    side, sides : float
+        Where blocks begin across the look, m, and their number a metre.
+    blocks : int
+        A strip.
+    bins : int
+    bend : ndarray (strips, 4)
+        Phases (cycles) where shadow begins and ends, and by how much these move a metre along the
+        look; 0 where there is none.
+    zone : float
+        Half the width of what is near an edge, cycles.
+    share : float
+        Of the pixels there, how many are kept.
+    most : int
+        Of these, no more.
     """
 
     per_pixel: FloatArray
+    origin: float
     along: FloatArray
     across: FloatArray
     start: float
-    width: float
+    cells: float
+    strip: NDArray[np.int64]
+    centre: FloatArray
+    side: float
+    sides: float
     blocks: int
     bins: int
-    box: int
-    trend: FloatArray
-    even: NDArray[np.complex128]
-    odd: NDArray[np.complex128]
-    tiles: int
-    field: bool
+    bend: FloatArray
+    zone: float
+    share: float
+    most: int
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -119,7 +133,7 @@ def box_place(i, size, boxes):  # type: ignore[no-untyped-def]
     return low, place - low
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def between(field, low_row, down, low_column, right):  # type: ignore[no-untyped-def]
     """Interpolate between four boxes."""
     next_row = min(low_row + 1, field.shape[0] - 1)
@@ -130,85 +144,131 @@ def between(field, low_row, down, low_column, right):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fold_pixels(power, valid, saturated, ground_range, altitude, plan):  # type: ignore[no-untyped-def]
-    """Sum pixels over bins of phase and blocks along the look.
+def field_cycles(even, odd, box, tiles, shape):  # type: ignore[no-untyped-def]
+    """Phase of a field at every pixel, cycles, by the boxes of the other parity."""
+    result = np.empty(shape)
+    for i in range(shape[0]):
+        low_row, down = box_place(i, box, even.shape[0])
+        for j in range(shape[1]):
+            low_column, right = box_place(j, box, even.shape[1])
+            if (i // (box * tiles) + j // (box * tiles)) % 2 == 0:
+                z = between(odd, low_row, down, low_column, right)
+            else:
+                z = between(even, low_row, down, low_column, right)
+            result[i, j] = np.arctan2(z.imag, z.real) / (2.0 * np.pi)
+    return result
 
-    Returns sums (SUMS, blocks, bins); for each block sums of one, place along and across, ground
-    range and altitude (5, blocks); and which of a bin's DITHER parts any pixel meets, as bits.
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
+    """Values of boxes at every pixel, between their centres."""
+    result = np.empty(shape)
+    for i in range(shape[0]):
+        low_row, down = box_place(i, box, values.shape[0])
+        for j in range(shape[1]):
+            low_column, right = box_place(j, box, values.shape[1])
+            result[i, j] = between(values, low_row, down, low_column, right)
+    return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan):  # type: ignore[no-untyped-def]
+    """Sum pixels over bins of phase and blocks; `field` is their phase beyond the plan's, if any.
+
+    Returns sums (all blocks, bins, SUMS) of lit pixels; number not saturated and total intensity of
+    those in shadow (all blocks, 2); for each block sums of one, place along and across, ground
+    range and altitude (all blocks, 5); and pixels near an edge of shadow (n, EDGE_PARTS).
     """
     rows, columns = power.shape
-    sums = np.zeros((SUMS, plan.blocks, plan.bins))
-    places = np.zeros((5, plan.blocks))
-    met = np.zeros((plan.blocks, plan.bins), np.int64)
-    box_rows, box_columns = plan.trend.shape
+    every = plan.centre.size * plan.blocks
+    sums = np.zeros((every, plan.bins, SUMS))
+    dark = np.zeros((every, 2))
+    places = np.zeros((every, 5))
+    edges = np.empty((plan.most, EDGE_PARTS))
+    # taken out of the plan once: numba counts references to arrays at each access
+    strips, centre, bend = plan.strip, plan.centre, plan.bend
+    per_pixel, step, side_step = plan.per_pixel, plan.along, plan.across
+    near, kept = 0, 0
     for i in range(rows):
-        low_row, down = box_place(i, plan.box, box_rows)
         row = i - 0.5 * (rows - 1)
         for j in range(columns):
             if not valid[i, j]:
                 continue
             column = j - 0.5 * (columns - 1)
-            low_column, right = box_place(j, plan.box, box_columns)
-            cycles = plan.per_pixel[0] * column + plan.per_pixel[1] * row
-            if plan.field:
-                parity = (i // (plan.box * plan.tiles) + j // (plan.box * plan.tiles)) % 2
-                phasors = plan.odd if parity == 0 else plan.even
-                z = between(phasors, low_row, down, low_column, right)
-                cycles += np.arctan2(z.imag, z.real) / (2.0 * np.pi)
+            cycles = plan.origin + per_pixel[0] * column + per_pixel[1] * row
+            if field.size > 0:
+                cycles += field[i, j]
             cycles -= np.floor(cycles)
+            along = step[0] * column + step[1] * row
+            across = side_step[0] * column + side_step[1] * row
+            strip = strips[min(max(int((along - plan.start) * plan.cells), 0), strips.size - 1)]
+            side = min(max(int((across - plan.side) * plan.sides), 0), plan.blocks - 1)
+            block = strip * plan.blocks + side
+            places[block, 0] += 1.0
+            places[block, 1] += along
+            places[block, 2] += across
+            places[block, 3] += ground_range[i, j]
+            places[block, 4] += altitude[i, j]
+            if bend[strip, 1] > 0.0:
+                offset = along - centre[strip]
+                begin = bend[strip, 0] + bend[strip, 2] * offset
+                end = bend[strip, 1] + bend[strip, 3] * offset
+                last = cycles - begin > end - cycles
+                distance = min(cycles - begin, end - cycles)
+                if abs(distance) < plan.zone:
+                    near += 1
+                    turn = near * GOLDEN
+                    if (
+                        turn - np.floor(turn) < plan.share
+                        and kept < plan.most
+                        and not saturated[i, j]
+                    ):
+                        edges[kept, 0] = block
+                        edges[kept, 1] = 1.0 if last else 0.0
+                        edges[kept, 2] = cycles
+                        edges[kept, 3] = (bend[strip, 3] if last else bend[strip, 2]) * offset
+                        edges[kept, 4] = along
+                        edges[kept, 5] = across
+                        edges[kept, 6] = power[i, j]
+                        kept += 1
+                    continue
+                if distance > 0.0:
+                    dark[block, 0] += 0.0 if saturated[i, j] else 1.0
+                    dark[block, 1] += power[i, j]
+                    continue
             k = min(int(cycles * plan.bins), plan.bins - 1)
-            along = plan.along[0] * column + plan.along[1] * row
-            block = min(max(int((along - plan.start) / plan.width), 0), plan.blocks - 1)
-            r, a = ground_range[i, j], altitude[i, j]
-            log_slope = np.log(a / r)
-            tilt = np.arctan2(r, a)
-            offset = cycles - (k + 0.5) / plan.bins
-            y = power[i, j] / between(plan.trend, low_row, down, low_column, right)
-            sums[COUNT, block, k] += 1.0
-            sums[KNOWN, block, k] += 0.0 if saturated[i, j] else 1.0
-            sums[TOTAL, block, k] += y
-            sums[PHASE, block, k] += offset
-            sums[PHASE2, block, k] += offset * offset
-            sums[LOG_SLOPE, block, k] += log_slope
-            sums[LOG_SLOPE2, block, k] += log_slope * log_slope
-            sums[TILT, block, k] += tilt
-            sums[FLAT, block, k] += np.exp(-tilt * tilt / SIGMA_VARIANCE)
-            sums[ALONG, block, k] += along
-            met[block, k] |= 1 << int((cycles * plan.bins - k) * DITHER)
-            places[0, block] += 1.0
-            places[1, block] += along
-            places[2, block] += plan.across[0] * column + plan.across[1] * row
-            places[3, block] += r
-            places[4, block] += a
-    return sums, places, met
+            sums[block, k, COUNT] += 1.0
+            sums[block, k, KNOWN] += 0.0 if saturated[i, j] else 1.0
+            sums[block, k, TOTAL] += power[i, j]
+            sums[block, k, PHASE] += cycles - (k + 0.5) / plan.bins
+            sums[block, k, ALONG] += along
+    return sums, dark, places, edges[:kept], near
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def unfold_pixels(known, plan, pulses):  # type: ignore[no-untyped-def]
-    """Spread pulses (blocks, bins) back over the pixels that are known, trend included.
+def unfold_pixels(known, field, plan, pulses):  # type: ignore[no-untyped-def]
+    """Spread pulses (all blocks, bins) back over the pixels that are known; 0 elsewhere.
 
-    The opposite of :func:`fold_pixels`; 0 elsewhere.
+    The opposite of :func:`fold_pixels`.
     """
     rows, columns = known.shape
     image = np.zeros((rows, columns))
-    box_rows, box_columns = plan.trend.shape
+    strips = plan.strip
+    per_pixel, step, side_step = plan.per_pixel, plan.along, plan.across
     for i in range(rows):
-        low_row, down = box_place(i, plan.box, box_rows)
         row = i - 0.5 * (rows - 1)
         for j in range(columns):
             if not known[i, j]:
                 continue
             column = j - 0.5 * (columns - 1)
-            low_column, right = box_place(j, plan.box, box_columns)
-            cycles = plan.per_pixel[0] * column + plan.per_pixel[1] * row
-            if plan.field:
-                parity = (i // (plan.box * plan.tiles) + j // (plan.box * plan.tiles)) % 2
-                phasors = plan.odd if parity == 0 else plan.even
-                z = between(phasors, low_row, down, low_column, right)
-                cycles += np.arctan2(z.imag, z.real) / (2.0 * np.pi)
+            cycles = plan.origin + per_pixel[0] * column + per_pixel[1] * row
+            if field.size > 0:
+                cycles += field[i, j]
             cycles -= np.floor(cycles)
+            along = step[0] * column + step[1] * row
+            across = side_step[0] * column + side_step[1] * row
+            strip = strips[min(max(int((along - plan.start) * plan.cells), 0), strips.size - 1)]
+            side = min(max(int((across - plan.side) * plan.sides), 0), plan.blocks - 1)
             k = min(int(cycles * plan.bins), plan.bins - 1)
-            along = plan.along[0] * column + plan.along[1] * row
-            block = min(max(int((along - plan.start) / plan.width), 0), plan.blocks - 1)
-            image[i, j] = pulses[block, k] * between(plan.trend, low_row, down, low_column, right)
+            image[i, j] = pulses[strip * plan.blocks + side, k]
     return image

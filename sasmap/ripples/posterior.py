@@ -208,7 +208,7 @@ def converged(draws: FloatArray) -> bool:
 def dataset(draws: FloatArray, names: tuple[str, ...]) -> xr.Dataset:
     """Label draws (chain, draw, parameter)."""
     units = {"frequency": "cycles/m", "height": "m", "phase": "rad", "noise": "1"}
-    units |= {"azimuth": "degrees", "blur": "rad"}
+    units |= {"azimuth": "degrees", "blur": "pixels or log rad"}
     return xr.Dataset(
         {
             name: (("chain", "draw"), draws[..., i], {"units": units[name]})

@@ -31,7 +31,9 @@ class Chain(NamedTuple):
     accepted: int
 
 
-def learn_proposal(particles: FloatArray, widen: float = 1.0) -> Proposal:
+def learn_proposal(
+    particles: FloatArray, widen: float = 1.0, width: float | None = None
+) -> Proposal:
     """Fit the proposal to a burn-in population.
 
     Parameters
@@ -39,6 +41,8 @@ def learn_proposal(particles: FloatArray, widen: float = 1.0) -> Proposal:
     particles : ndarray (n, SIZE)
     widen : float
         By which the population is spread about its mean first.
+    width : float, optional
+        Of the kernels; where not given, by how many particles there are.
 
     Returns
     -------
@@ -49,7 +53,8 @@ def learn_proposal(particles: FloatArray, widen: float = 1.0) -> Proposal:
     particles = centre + widen * (particles - centre)
     factor = covariance_factor(particles, 1e-4)
     white = np.linalg.solve(factor, (particles - centre).T).T
-    width = (4 / ((size + 2) * n)) ** (1 / (size + 4))  # Silverman's
+    if width is None:
+        width = (4 / ((size + 2) * n)) ** (1 / (size + 4))  # Silverman's
     together = np.sqrt(1 - width**2 * STUDENT / (STUDENT - 2))
     return Proposal(particles.copy(), together * white, centre, factor, width)
 

@@ -16,8 +16,9 @@ from sasmap.ripples.kernel import (
     NOISE_BOUNDS,
     SIZE,
     climb,
+    evolve,
     half_widths,
-    log_target,
+    log_targets,
     move_population,
     scan_table,
 )
@@ -28,19 +29,26 @@ FloatArray = NDArray[np.float64]
 
 HEIGHTS = 18
 PHASES = 12
-NOISES = (np.log(0.004), np.log(0.05))
+NOISES = (np.log(0.004), np.log(0.04), np.log(0.4))
 BLURS = (0.6, 1.0, 1.7)
-PARTICLES = 120
+PARTICLES = 160
 # Moves per temperature, and the share of effective particles that sets the next temperature.
 MOVES = 3
 KEPT_SHARE = 0.3
 MAX_STAGES = 100
-# Other points of the scan that are climbed from, how far below the best their peaks may be, and by
-# how much the first population is wider than the peaks.
+# Rounds of importance sampling, draws of each, their degrees of freedom, and the share of effective
+# draws from which the proposal is as the posterior.
+LEARNING_ROUNDS, LEARNING_DRAWS, TAIL, LEARNED_SHARE = 10, 200, 8.0, 0.3
+# Other points of the scan that are climbed from, and by how much the first population is wider than
+# the peak.
 RIVALS = 2
-RIVAL_MARGIN = 60.0
 WIDEN = 2.0
 EDGE = 1e-9
+# Width of the kernels, in units of the population's spread, where it has one peak.
+ONE_PEAK = 0.85
+# Rounds of a climb, and generations of one that evolves.
+ROUNDS, FINE_ROUNDS = 30, 12
+GENERATIONS = 35
 # Cosine of the angle to the look of which a start at least is.
 ACROSS = 1e-3
 # Spread of the starts' wave vector, in parts of a cycle over the clip.
@@ -53,6 +61,7 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
     Parameters
     ----------
     data : FoldData
+        On an even grid of phase.
     prior : Prior
 
     Returns
@@ -60,7 +69,7 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
     ndarray (n, SIZE + 1)
         theta and log likelihood, at the fold's wave vector (as near as the prior allows).
     """
-    wave = data.base if data.field == 0 else data.wave
+    wave = data.reference[1:] if data.field == 0 else data.wave
     # of a wave nearly across the look, the direction that the sonar looks along
     wave = np.array([max(wave[0], ACROSS * np.hypot(*wave)), wave[1]])
     azimuth = data.look + np.arctan2(wave[1], wave[0])
@@ -72,7 +81,7 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
     if data.field == 1:
         phases, blurs = np.zeros(1), np.clip(data.blur[0] + np.log(BLURS), *data.blur_bounds)
     axes = np.meshgrid(heights(prior), phases, NOISES, blurs, indexing="ij")
-    table = np.empty((axes[0].size, SIZE + 1))
+    table = np.zeros((axes[0].size, SIZE + 1))
     table[:, 0], table[:, 2] = frequency, azimuth
     for column, axis in zip((1, 3, 4, 5), axes, strict=True):
         table[:, column] = axis.ravel()
@@ -80,20 +89,20 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
     return table
 
 
-def cooled_population(
-    table: FloatArray,
+def population(
     peak: FloatArray,
     data: FoldData,
     prior: Prior,
     compiled: PriorData,
     rng: np.random.Generator,
-) -> FloatArray:
+) -> tuple[FloatArray, float | None]:
     """Draw an approximate sample of the posterior to start and tune chains from.
+
+    By importance sampling whose proposal is learned from its own draws (Cappe and others 2004);
+    where that comes to nothing, by a population that is cooled (sequential Monte Carlo).
 
     Parameters
     ----------
-    table : ndarray (n, SIZE + 1)
-        Of :func:`scan`.
     peak : ndarray (SIZE,)
         Of :func:`polished`.
     data : FoldData
@@ -104,35 +113,110 @@ def cooled_population(
 
     Returns
     -------
-    ndarray (PARTICLES, SIZE)
+    particles : ndarray (PARTICLES, SIZE)
         Coordinates (see :func:`sasmap.ripples.kernel.log_target`) of equal weight.
+    width : float or None
+        Of the kernels that suit them; None where their number tells it.
     """
-    peaks = [peak.copy()]
-    for start in _rivals(table, peak, data, compiled):
-        peaks.append(polished(start, data, compiled)[0])
-    (f_low, f_high), (h_low, h_high) = prior.bounds
-    for point in peaks:  # at a bound, the way to coordinates and back could step over it
-        point[1] = np.clip(point[1], h_low * (1 + EDGE), h_high * (1 - EDGE))
-    centres = np.array([coordinates(p) for p in peaks])
-    levels = np.array([log_target(x, data, compiled, 1.0) for x in centres])
-    centres = centres[levels > levels.max() - RIVAL_MARGIN]
-    scale = _scales(data, prior, peak)
-    widths = np.array([half_widths(x, scale, data, compiled) for x in centres])
-    which = rng.integers(0, len(centres), PARTICLES)
-    offset = WIDEN * widths[which] * rng.normal(size=(PARTICLES, SIZE))
-    particles = centres[which] + offset
-    particles[:, 0] = np.clip(particles[:, 0], f_low, f_high)
+    (h_low, h_high) = prior.bounds[1]
+    point = peak.copy()  # at a bound, the way to coordinates and back could step over it
+    point[1] = np.clip(point[1], h_low * (1 + EDGE), h_high * (1 - EDGE))
+    centre = coordinates(point)
+    width = half_widths(centre, _scales(data, prior, peak), data, compiled)
+    learned = _learned(centre, width, data, compiled, rng)
+    if learned is not None:
+        return learned, ONE_PEAK
+    return _cool(_spread(centre, width, data, prior, compiled, rng), data, compiled, rng), None
+
+
+def _learned(
+    centre: FloatArray,
+    width: FloatArray,
+    data: FoldData,
+    compiled: PriorData,
+    rng: np.random.Generator,
+) -> FloatArray | None:
+    """Learn one peak by rounds of importance sampling; None where it does not become like it."""
+    factor = np.linalg.cholesky(_curvature(centre, width, data, compiled))
+    mean, learned = centre, False
+    for _ in range(LEARNING_ROUNDS):
+        normal = rng.normal(size=(LEARNING_DRAWS, SIZE))
+        heavy = np.sqrt(TAIL / rng.chisquare(TAIL, LEARNING_DRAWS))
+        draws = mean + heavy[:, None] * normal @ factor.T
+        density = -0.5 * (TAIL + SIZE) * np.log1p((normal**2).sum(axis=1) * heavy**2 / TAIL)
+        level = log_targets(draws, data, compiled, 1.0) - density
+        if not np.isfinite(level).any():
+            factor = 0.5 * factor
+            continue
+        level = np.where(np.isfinite(level), level, -np.inf)
+        weight = np.exp(level - level.max())
+        share = float(weight.sum() ** 2 / (weight**2).sum() / weight.size)
+        if share > LEARNED_SHARE:
+            if learned:  # twice: the first time by a few lucky draws
+                return draws[_resample(weight, PARTICLES, rng)].copy()
+            learned = True
+        finite = np.maximum(level - level.max(), -1e6)
+        power = min(1.0, _next_power(finite, 0.0, LEARNED_SHARE))
+        weight = np.exp(power * finite)
+        weight /= weight.sum()
+        mean = weight @ draws
+        offset = draws - mean
+        covariance = (weight[:, None] * offset).T @ offset * (1.2 if power == 1 else 1.0)
+        spread = np.sqrt(np.diag(covariance)) + 1e-300
+        shape = covariance / spread[:, None] / spread + 0.02 * np.eye(SIZE)
+        factor = spread[:, None] * np.linalg.cholesky(shape)
+    return None
+
+
+def _curvature(
+    centre: FloatArray, width: FloatArray, data: FoldData, compiled: PriorData
+) -> FloatArray:
+    """Covariance that the curvature of the log density tells, on the scale of its half-widths.
+
+    Parameters of straight crests are correlated: what each is on its own is too narrow.
+    """
+    step = 0.5 * width
+    shift = np.eye(SIZE) * step
+    pairs = [(i, j) for i in range(SIZE) for j in range(i)]
+    points = [centre, *(centre + shift), *(centre - shift)]
+    points += [centre + shift[i] + shift[j] for i, j in pairs]
+    points += [centre - shift[i] - shift[j] for i, j in pairs]
+    level = log_targets(np.array(points), data, compiled, 1.0)
+    level = np.where(np.isfinite(level), level, level[0] - 4.0)
+    up, down = level[1 : 1 + SIZE], level[1 + SIZE : 1 + 2 * SIZE]
+    bend = np.diag(np.clip(2 * level[0] - up - down, 0.05, 8.0))
+    first, second = np.split(level[1 + 2 * SIZE :], 2)
+    for k, (i, j) in enumerate(pairs):
+        both = 2 * level[0] - first[k] - second[k]
+        cross = 0.5 * (both - bend[i, i] - bend[j, j])
+        bound = 0.95 * np.sqrt(bend[i, i] * bend[j, j])
+        bend[i, j] = bend[j, i] = np.clip(cross, -bound, bound)
+    value, vector = np.linalg.eigh(bend)
+    inverse = (vector / np.maximum(value, 0.05)) @ vector.T
+    return np.asarray(1.3 * step[:, None] * inverse * step)
+
+
+def _spread(
+    centre: FloatArray,
+    width: FloatArray,
+    data: FoldData,
+    prior: Prior,
+    compiled: PriorData,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Particles about a peak, wider than it is."""
+    particles = centre + WIDEN * width * rng.normal(size=(PARTICLES, SIZE))
+    h_low = prior.bounds[1][0]
+    particles[:, 0] = np.clip(particles[:, 0], *prior.bounds[0])
     particles[:, 1] = np.abs(particles[:, 1] - h_low) + h_low
     particles[:, 4] = np.clip(particles[:, 4], *NOISE_BOUNDS)
     particles[:, 5] = np.clip(particles[:, 5], *data.blur_bounds)
-    bad = ~np.isfinite([log_target(x, data, compiled, 0.0) for x in particles])
-    particles[bad] = centres[which[bad]]
-    return _cool(particles, data, compiled, rng)
+    bad = ~np.isfinite(log_targets(particles, data, compiled, 0.0))
+    particles[bad] = centre
+    return np.asarray(particles)
 
 
-def _rivals(
-    table: FloatArray, peak: FloatArray, data: FoldData, compiled: PriorData
-) -> list[FloatArray]:
+def rivals(table: FloatArray, peak: FloatArray) -> list[FloatArray]:
     """Points of the scan that may lead to other peaks: the best at heights far from the peak's."""
     far = np.abs(np.log(np.maximum(table[:, 1], 1e-12) / max(float(peak[1]), 1e-12))) > 0.5
     order = np.argsort(-table[far, SIZE])[:RIVALS]
@@ -153,8 +237,8 @@ def _cool(
     """Bring particles to the full height of the likelihood by resampling and moves."""
     power = 0.0
     for _ in range(MAX_STAGES):
-        base = np.array([log_target(x, data, prior, 0.0) for x in particles])
-        gain = np.array([log_target(x, data, prior, 1.0) for x in particles]) - base
+        base = log_targets(particles, data, prior, 0.0)
+        gain = log_targets(particles, data, prior, 1.0) - base
         step = _next_power(gain, power, KEPT_SHARE)
         chosen = _resample(np.exp((step - power) * (gain - gain.max())), len(particles), rng)
         particles, power = particles[chosen].copy(), step
@@ -223,7 +307,7 @@ def _resample(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[n
 
 
 def polished(
-    start: FloatArray, data: FoldData, compiled: PriorData, rounds: int = 40
+    start: FloatArray, data: FoldData, compiled: PriorData, near: bool = False
 ) -> tuple[FloatArray, float]:
     """Climb from a point of the scan to the peak of the log posterior near it.
 
@@ -232,7 +316,8 @@ def polished(
     start : ndarray (SIZE,)
     data : FoldData
     compiled : PriorData
-    rounds : int
+    near : bool
+        Whether the peak is near.
 
     Returns
     -------
@@ -242,8 +327,15 @@ def polished(
     """
     theta = start.copy()
     length = max(float(np.ptp(data.along)), 1 / theta[0])
-    across = min(WAVE_SPREAD / length, 1 / np.sqrt(data.wave_precision[1]))
-    step = np.array(
-        [WAVE_SPREAD / length, 0.15 * theta[1], across / theta[0], np.pi / PHASES, 0.7, 0.3]
-    )
-    return theta, float(climb(theta, step, data, compiled, rounds))
+    width = max(float(np.ptp(data.across)), length / 4)
+    turn = WAVE_SPREAD / width / theta[0]
+    step = np.array([WAVE_SPREAD / length, 0.15 * theta[1], turn, np.pi / PHASES, 0.7, 0.2])
+    if not data.fine:
+        # one block a strip tells nothing across the look
+        step[2] = 0.0 if data.field == 0 else step[2]
+        return theta, float(climb(theta, step, data, compiled, ROUNDS))
+    if data.shadow:  # edges of shadow make bent ridges
+        step = step * (0.05 if near else 0.2)
+        evolve(theta, step, data, compiled, GENERATIONS, np.random.default_rng(0))
+        step = step / 4
+    return theta, float(climb(theta, step, data, compiled, FINE_ROUNDS))

@@ -30,9 +30,9 @@ def draws():
     )
     start = np.array([0.6, 0.1, np.radians(92), 1.0, -4.0, data.blur[0]])
     compiled = PRIOR.compiled(90.0)
-    chain = metropolis(start, 100_000, learn_proposal(members), data, compiled, rng)
-    assert 0.2 < chain.accepted / 100_000 < 0.9
-    return parameters(chain.draws[1000::50])
+    chain = metropolis(start, 200_000, learn_proposal(members), data, compiled, rng)
+    assert 0.2 < chain.accepted / 200_000 < 0.9
+    return parameters(chain.draws[1000::100])
 
 
 def truth(n, seed=1):
