@@ -116,8 +116,7 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     """
     boxes = demodulate(task.image, wave)
     boxes = rewaved(task.image, boxes, refined_wave(task.image, boxes, boxes.count > 0))
-    best = _with_profile(task, _best_phase(task, boxes))
-    return _with_residuals(task, best)
+    return _with_residuals(task, *_with_profile(task, _best_phase(task, boxes)))
 
 
 def _searched(task: Task, phase: PhaseField, trend: FloatArray, profile: ProfileName) -> Fit:
@@ -133,7 +132,7 @@ def _searched(task: Task, phase: PhaseField, trend: FloatArray, profile: Profile
 
 
 def refolded(task: Task, fit: Fit) -> Fit:
-    """Fold straight crests where the fit is, following their shadow, and climb on.
+    """Fold straight crests where the fit is, following their shadow, and climb on; bent ones stay.
 
     Parameters
     ----------
@@ -145,6 +144,8 @@ def refolded(task: Task, fit: Fit) -> Fit:
     -------
     Fit
     """
+    if not fit.phase.rigid:
+        return fit
     for near in (False, True) if task.shadow is None else (False, True, True):
         reference = Reference(fit.theta, fit.data)
         data = fold(task.image, fit.phase, fit.trend, task.shadow, fit.profile, reference)
@@ -193,29 +194,42 @@ def explained(fit: Fit) -> float:
     return float(max(log_likelihood(fit.theta, aside) - log_likelihood(flat, aside), 0.0))
 
 
-def _with_profile(task: Task, fit: Fit) -> Fit:
-    """Return the fit with the profile that the survey fixes, or else the data choose."""
+def _with_profile(task: Task, fit: Fit) -> tuple[Fit, Fit]:
+    """Return the fit with the profile that the survey fixes, or else the data choose.
+
+    And the same fit refolded, where crests are straight.
+    """
     wanted = task.settings.profile
-    if wanted == fit.profile:
-        return fit
+    close = refolded(task, fit)
+    misfit, freedom = dispersion(close)
+    if wanted == fit.profile or (wanted == "auto" and (misfit - 1) * np.sqrt(freedom) < EXPLAINED):
+        return fit, close
     misfit, freedom = dispersion(fit)
-    if wanted == "auto" and (misfit - 1) * np.sqrt(freedom) < EXPLAINED:
-        return fit
     names: tuple[ProfileName, ...] = ("stokes", "peaked") if wanted == "auto" else (wanted,)
     fits = [_with_other_profile(task, fit, name) for name in names]
     best = max(fits, key=lambda f: f.level)
     missed = PROFILE_SHARE * 0.5 * max(misfit - 1, 0) * freedom
     least = PROFILE_MARGIN + PROFILE_GAIN * explained(fit) + missed
-    enough = best.level > fit.level + least
-    return best if wanted != "auto" or enough else fit
+    if wanted == "auto" and best.level < fit.level + least:
+        return fit, close
+    return best, refolded(task, best)
 
 
-def _with_residuals(task: Task, fit: Fit) -> Fit:
-    """Take a trend off the clip where one shows, and measure its noise factor."""
+def _with_residuals(task: Task, search: Fit, fit: Fit) -> Fit:
+    """Take a trend off the clip where one shows, and measure its noise factor.
+
+    Parameters
+    ----------
+    task : Task
+    search, fit : Fit
+        On an even grid of phase, and the same refolded where crests are straight.
+
+    Returns
+    -------
+    Fit
+    """
     trended = False
-    search = fit
     for last in (False, False, True):
-        fit = refolded(task, search) if fit.phase.rigid else search
         ratio = residual(task.image, fit)
         if np.count_nonzero(ratio) < MIN_LIT * task.image.valid.sum():
             return fit
@@ -224,6 +238,7 @@ def _with_residuals(task: Task, fit: Fit) -> Fit:
             break
         trended = True
         search = _searched(task, fit.phase, fit.trend * trend, fit.profile)
+        fit = refolded(task, search)
     factor = 1.0
     if task.settings.speckle == "measured":
         factor = max(noise_factor(task.image, fit.phase, ratio), dispersion(fit)[0], 1.0)

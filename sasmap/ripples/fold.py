@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.folded import FoldData
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import PEAKED, SINE, SLIP_SD, STOKES, shadow_limit, shadow_places
+from sasmap.ripples.kernel import PEAKED, SINE, SLIP_SD, STOKES, shadow_places
 from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.pixels import (
     ALONG,
@@ -38,13 +38,18 @@ MAX_CHANGE = 0.15
 CELLS = 256
 SIDES = 3
 # Log of the range over that where shadow sets in at which strips end: there its edges part fast.
-ONSET = (-0.06, -0.03, -0.012, 0.0, 0.012, 0.03, 0.06, 0.12)
+ONSET = (-0.03, -0.01, 0.0, 0.002, 0.006, 0.012, 0.03, 0.06, 0.12)
+ONSET_SEARCH = 400
+# Factors of the range between which a strip's shadow must not set in to be told for sure.
+NEARER, FARTHER = 0.994, 1.012
 # Pixels near the edges of straight crests' shadow are looked at one by one: these many. How near,
 # and how far from its place an edge may be seen at a pixel (standard deviation), in pixels, at
-# first and when a fold is made again. Floors are not quite even, and images know them by their
-# pixels.
+# first and when a fold is made again and again. Floors are not quite even, and images know them by
+# their pixels.
 EDGE_PIXELS = 700
-ZONES, EDGE_SDS = (2.5, 1.0), (0.5, 0.12)
+ZONES, EDGE_SDS = (5.0, 2.0, 1.0), (1.0, 0.4, 0.12)
+# But no more of a wave than this, cycles.
+MAX_ZONES = (0.07, 0.05, 0.05)
 # Largest and smallest error of a field, rad: with less the model would turn from all lit to dark at
 # a point, with more no pulse is left.
 FIELD_BLURS = (0.07, 1.5)
@@ -117,8 +122,7 @@ def fold_plan(
     place = start + step * (np.arange(CELLS) + 0.5)
     centre = np.bincount(strip, place) / np.bincount(strip)
     zero, bend = _bend(image, reference, centre)
-    zone = ZONES[0 if reference is None or not reference.data.fine else 1]
-    zone *= image.pixel_size * float(np.hypot(*wave))
+    zone, _ = _nearness(reference, image.pixel_size * float(np.hypot(*wave)))
     near = 4 * zone * np.mean(bend[strip, 1] > 0) * image.valid.sum()
     return (
         FoldPlan(
@@ -144,6 +148,16 @@ def fold_plan(
     )
 
 
+def _nearness(reference: Reference | None, pixel: float) -> tuple[float, float]:
+    """What is near an edge of shadow, and how far from its place it may be seen, cycles.
+
+    For pixels of so many wavelengths.
+    """
+    stage = 0 if reference is None else reference.data.fine
+    zone = min(ZONES[stage] * pixel, MAX_ZONES[stage])
+    return zone, min(EDGE_SDS[stage] * pixel, 0.4 * zone)
+
+
 def _strips(
     image: Image,
     reference: Reference,
@@ -156,44 +170,56 @@ def _strips(
     each = int(np.clip(np.ceil(np.log(far / max(near, 1e-3)) / MAX_CHANGE / groups), 1, 4))
     cut = np.zeros(CELLS, bool)
     cut[1:] = np.diff(np.arange(CELLS) * groups * each // CELLS) != 0
-    if reference.data.shadow > 0:
-        limit = shadow_limit(reference.theta, reference.data)
-        onset = image.mean_altitude / max(limit, 1e-9)
-        if near < onset * 1.1 and far > 0.9 * onset:
-            places = onset * np.exp(ONSET) - image.mean_range  # from the clip's centre
-            rows = ((places - start) / length * CELLS).astype(int)
-            cut[rows[(rows > 1) & (rows < CELLS - 1)]] = True
+    onset = _onset(reference, near, far, image.mean_altitude)
+    if onset is not None:
+        places = onset * np.exp(ONSET) - image.mean_range  # from the clip's centre
+        rows = ((places - start) / length * CELLS).astype(int)
+        cut[rows[(rows > 0) & (rows < CELLS)]] = True
     return np.cumsum(cut)
+
+
+def _onset(reference: Reference, near: float, far: float, altitude: float) -> float | None:
+    """Ground range, m, near those of a clip, at which shadow sets in at the reference."""
+    if reference.data.shadow == 0:
+        return None
+    reach = np.geomspace(0.85 * near, 1.1 * far, ONSET_SEARCH)
+    edges = _edges(reference, reach, np.full(ONSET_SEARCH, altitude))
+    flips = np.flatnonzero(np.diff(edges[:, 1] > edges[:, 0]))
+    return float(np.sqrt(reach[flips[0]] * reach[flips[0] + 1])) if flips.size else None
+
+
+def _edges(reference: Reference, reach: FloatArray, altitude: FloatArray) -> FloatArray:
+    """Begin and end of shadow at ranges and altitudes, cycles past the crest (n, 2)."""
+    theta = reference.theta.copy()
+    theta[5] = 0.0
+    data = reference.data._replace(reach=np.maximum(reach, 1e-3), altitude=altitude)
+    return np.asarray(shadow_places(theta, data))
 
 
 def _bend(image: Image, reference: Reference | None, centre: FloatArray) -> _Bend:
     """Follow the edges of shadow at the reference."""
-    none = np.zeros((centre.size, 4))
+    bend = np.zeros((centre.size, 5))
     if reference is None:
-        return _Bend(0.0, none)
+        return _Bend(0.0, bend)
+    lit = _Bend(0.5 * np.pi, bend)
     if reference.data.shadow == 0:
-        return _Bend(0.5 * np.pi, none)
+        return lit
     reach = image.mean_range + centre
     altitude = np.full(centre.size, image.mean_altitude)
-    theta = reference.theta.copy()
-    theta[5] = 0.0
-
-    def edges(factor: float) -> FloatArray:
-        data = reference.data._replace(reach=np.maximum(reach * factor, 1e-3), altitude=altitude)
-        return np.asarray(shadow_places(theta, data))
-
-    here, nearer, farther = edges(1.0), edges(0.995), edges(1.005)
-    shadowed = here[:, 1] > here[:, 0]
-    if not shadowed.any():
-        return _Bend(0.5 * np.pi, none)
-    most = int(np.argmax(here[:, 1] - here[:, 0]))
-    turn = 0.5 * (here[most].sum() + 1) % 1  # in the middle of what the darkest strip shows
-    moved = (here - turn) % 1
-    shadowed &= (moved[:, 1] > moved[:, 0]) & (moved[:, 0] > 0)
-    both = (nearer[:, 1] > nearer[:, 0]) & (farther[:, 1] > farther[:, 0])
-    slope = np.where(both[:, None], (farther - nearer) / (0.01 * reach[:, None]), 0.0)
-    bend = np.column_stack([moved, slope])
-    bend[~shadowed] = 0.0
+    near, here, far = (_edges(reference, reach * k, altitude) for k in (NEARER, 1.0, FARTHER))
+    falls = np.array([edges[:, 1] > edges[:, 0] for edges in (near, here, far)])
+    unsure = falls.any(axis=0) & ~falls.all(axis=0)
+    place = np.where(unsure[:, None], far, here)
+    width = np.where(falls.any(axis=0), place[:, 1] - place[:, 0], 0.0)
+    if not width.max() > 0:
+        return lit
+    most = int(np.argmax(width))
+    turn = 0.5 * (place[most].sum() + 1) % 1  # in the middle of what the darkest strip shows
+    moved = (place - turn) % 1
+    shadowed = (width > 0) & (moved[:, 1] > moved[:, 0]) & (moved[:, 0] > 0)
+    slope = (far - near) / ((FARTHER - NEARER) * reach[:, None])
+    slope[unsure] = 0.0
+    bend[shadowed] = np.column_stack([moved, slope, unsure])[shadowed]
     return _Bend(2 * np.pi * (0.25 + turn), bend)
 
 
@@ -265,9 +291,7 @@ def fold(
         dark=dark,
         edges=edges,
         edge_start=np.searchsorted(edges[:, 0], np.arange(len(dark) + 1)),
-        edge_sd=EDGE_SDS[0 if reference is None or not reference.data.fine else 1]
-        * image.pixel_size
-        * float(np.hypot(*wave)),
+        edge_sd=_nearness(reference, image.pixel_size * float(np.hypot(*wave)))[1],
         along=blocks.along,
         across=blocks.across,
         reach=blocks.reach,
@@ -290,7 +314,7 @@ def fold(
         profile=PROFILES[profile],
         shadow=0 if shadow is None else 2 if shadow == "crest" else 1,
         field=int(not phase.rigid),
-        fine=int(reference is not None),
+        fine=0 if reference is None else min(reference.data.fine + 1, len(ZONES) - 1),
     )
 
 

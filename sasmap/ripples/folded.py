@@ -72,7 +72,7 @@ class FoldData(NamedTuple):
         One over the noise factor.
     profile, shadow, field, fine : int
         Which profile; whether shadow falls (2 by the crest rule); whether there is a phase field;
-        whether bins follow the edges of shadow.
+        the how-manieth fold it is whose bins follow the edges of shadow, 0 where they do not.
     """
 
     known: FloatArray

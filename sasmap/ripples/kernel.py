@@ -233,13 +233,6 @@ def shadow_places(theta, data):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def shadow_limit(theta, data):  # type: ignore[no-untyped-def]
-    """Slope of the ray at which shadow sets in."""
-    full = 2.0 * np.pi * theta[0] * theta[1]
-    return full * np.cos(theta[2] - data.look) * _shadow_limit(full, data)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def straight_likelihood(theta, data):  # type: ignore[no-untyped-def]
     """Speckle log likelihood of straight crests, pixel by pixel near the edges of shadow."""
     strips, bins = data.group.size, data.known.shape[1]
@@ -423,7 +416,7 @@ def even_likelihood(theta, data):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def log_likelihood(theta, data):  # type: ignore[no-untyped-def]
     """Speckle log likelihood with the gains integrated out, up to a constant."""
-    if data.fine == 1:
+    if data.fine > 0:
         return straight_likelihood(theta, data) * data.power
     return even_likelihood(theta, data)
 
@@ -469,7 +462,7 @@ def pulses(theta, data):  # type: ignore[no-untyped-def]
     shape, hidden, edges = np.empty(bins), np.empty(bins + 2), np.zeros(8)
     first, pixels, scaled = 0, 0.0, 0.0
     for block in range(blocks):
-        if data.fine == 1:
+        if data.fine > 0:
             straight_pulse(theta, data, block, edges, result[block], clear[block])
         else:
             even_pulse(theta, data, block, shape, hidden, result[block])

@@ -96,9 +96,9 @@ class FoldPlan(NamedTuple):
     blocks : int
         A strip.
     bins : int
-    bend : ndarray (strips, 4)
-        Phases (cycles) where shadow begins and ends, and by how much these move a metre along the
-        look; 0 where there is none.
+    bend : ndarray (strips, 5)
+        Phases (cycles) where shadow begins and ends, by how much these move a metre along the look,
+        and whether it is unsure that any falls there; 0 where there is none.
     zone : float
         Half the width of what is near an edge, cycles.
     share : float
@@ -215,6 +215,8 @@ def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan):  
                 end = bend[strip, 1] + bend[strip, 3] * offset
                 last = cycles - begin > end - cycles
                 distance = min(cycles - begin, end - cycles)
+                if bend[strip, 4] > 0.0 and distance > -plan.zone:
+                    continue
                 if abs(distance) < plan.zone:
                     near += 1
                     turn = near * GOLDEN
