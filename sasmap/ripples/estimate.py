@@ -24,6 +24,7 @@ from sasmap.ripples.published import sample_published
 from sasmap.ripples.sampler import learn_proposal, metropolis
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.starts import parameters, population
+from sasmap.ripples.weak import sample_weak
 
 MIN_PIXELS = 400
 ROUND = 400
@@ -112,6 +113,10 @@ def _default(
         return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
     shadow = settings.shadow if _can_cast_shadow(image, prior) else None
     task = Task(image, shadow, settings, prior, prior.compiled(image.azimuth))
+    if probability <= PRESENT:  # assumed
+        weak = _weak(task, chosen[0], probability, rng)
+        if weak is not None:
+            return weak
     fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.level)
     draws, acceptance, done = _sampled(fit, task, rng)
     return Posterior(
@@ -130,6 +135,25 @@ def _default(
         ),
         modelled_amplitude(clip, image, fit, draws) if settings.keep_model else None,
         labelled(draws),
+    )
+
+
+def _weak(task: Task, wave: Wave, probability: float, rng: np.random.Generator) -> Posterior | None:
+    """Posterior of a clip that is assumed to be rippled and shows no clear wave."""
+    sampled = sample_weak(task, wave.vector, rng)
+    if sampled is None:
+        return None
+    draws, acceptance, done = sampled
+    extent = float(np.hypot(*(np.array(task.image.shape) * task.image.pixel_size)))
+    left_out = LeftOut.PRESENCE_TEST | LeftOut.SHADOW | LeftOut.PHASE_FIELD
+    return Posterior(
+        _judged(draws, done, task.image, probability),
+        task.prior,
+        labelled(draws),
+        acceptance,
+        left_out,
+        probability,
+        Shape("sine", extent, 1.0, float("inf"), 1.0),
     )
 
 

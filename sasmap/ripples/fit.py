@@ -241,7 +241,7 @@ def _with_residuals(task: Task, search: Fit, fit: Fit) -> Fit:
         fit = refolded(task, search)
     factor = 1.0
     if task.settings.speckle == "measured":
-        factor = max(noise_factor(task.image, fit.phase, ratio), dispersion(fit)[0], 1.0)
+        factor = max(noise_factor(task.image, fit.phase.wave, ratio), dispersion(fit)[0], 1.0)
     data = fit.data._replace(power=1 / factor)
     return fit._replace(data=data, trended=trended, noise_factor=factor)
 
@@ -282,7 +282,7 @@ def residual(image: Image, fit: Fit) -> FloatArray:
     return np.asarray(np.where(lit, ratio, 0.0))
 
 
-def noise_factor(image: Image, phase: PhaseField, ratio: FloatArray) -> float:
+def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:
     """Variance of the speckle around the ripple's wave number over that of independent speckle.
 
     Correlated pixels and texture raise the spectrum of the residual there; averaging of looks
@@ -291,7 +291,8 @@ def noise_factor(image: Image, phase: PhaseField, ratio: FloatArray) -> float:
     Parameters
     ----------
     image : Image
-    phase : PhaseField
+    wave : ndarray (2,)
+        (east, north), cycles/m.
     ratio : ndarray (rows, columns)
         Of :func:`residual`.
 
@@ -304,7 +305,7 @@ def noise_factor(image: Image, phase: PhaseField, ratio: FloatArray) -> float:
     mean = ratio[used].mean()
     flat = np.where(used, np.minimum(ratio / mean, 12.0) - 1.0, 0.0)
     power = np.abs(rfft2(flat)) ** 2 / count
-    per_column, per_row = image.per_pixel(phase.wave)
+    per_column, per_row = image.per_pixel(wave)
     radius = np.hypot(np.fft.rfftfreq(image.shape[1]), np.fft.fftfreq(image.shape[0])[:, None])
     number = np.hypot(per_column, per_row)
     ring = (radius > 0.6 * number) & (radius < 1.6 * number)

@@ -149,7 +149,7 @@ def fold_plan(
 
 
 def _nearness(reference: Reference | None, pixel: float) -> tuple[float, float]:
-    """What is near an edge of shadow, and how far from its place it may be seen, cycles.
+    """Return what is near an edge of shadow, and how far from its place it may be seen, cycles.
 
     For pixels of so many wavelengths.
     """
@@ -208,9 +208,10 @@ def _bend(image: Image, reference: Reference | None, centre: FloatArray) -> _Ben
     altitude = np.full(centre.size, image.mean_altitude)
     near, here, far = (_edges(reference, reach * k, altitude) for k in (NEARER, 1.0, FARTHER))
     falls = np.array([edges[:, 1] > edges[:, 0] for edges in (near, here, far)])
-    unsure = falls.any(axis=0) & ~falls.all(axis=0)
+    some = np.asarray(falls.any(axis=0))
+    unsure = np.asarray(some & ~falls.all(axis=0))
     place = np.where(unsure[:, None], far, here)
-    width = np.where(falls.any(axis=0), place[:, 1] - place[:, 0], 0.0)
+    width = np.where(some, place[:, 1] - place[:, 0], 0.0)
     if not width.max() > 0:
         return lit
     most = int(np.argmax(width))

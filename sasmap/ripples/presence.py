@@ -106,23 +106,28 @@ class Spectrum:
     with_trend: FloatArray
 
 
-def flattened(image: Image) -> FloatArray:
-    """Amplitude over its smooth trend, less 1; 0 where not valid.
+def smooth_trend(values: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
+    """Polynomial of degree 4 in row and column through the means of 16 by 16 blocks.
 
-    The trend is a polynomial of degree 4 in row and column through the means of 16 by 16 blocks.
+    Parameters
+    ----------
+    values : ndarray (rows, columns)
+        0 where not valid.
+    valid : ndarray of bool (rows, columns)
+
+    Returns
+    -------
+    ndarray (rows, columns)
+        At least a tenth of the mean.
     """
-    amplitude = np.sqrt(image.power)
-    rows, columns = image.shape
-    across, down = min(16, rows), min(16, columns)
-    edges = [
-        np.linspace(0, n, k + 1).astype(int)[:-1] for n, k in ((rows, across), (columns, down))
-    ]
+    rows, columns = values.shape
+    edges = [np.linspace(0, n, min(16, n) + 1).astype(int)[:-1] for n in values.shape]
 
     def blocks(values: FloatArray) -> FloatArray:
         return np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1)
 
-    count = blocks(image.valid.astype(float))
-    mean = blocks(amplitude) / np.maximum(count, 1)
+    count = blocks(valid.astype(float))
+    mean = blocks(values) / np.maximum(count, 1)
     used = count > 0.1 * count.max()
     y, x = ((np.append(e, n)[1:] + e - n) / n for e, n in ((edges[0], rows), (edges[1], columns)))
     degree = min(4, int(np.sqrt(used.sum())) - 1)
@@ -130,13 +135,19 @@ def flattened(image: Image) -> FloatArray:
     design = np.stack([np.multiply.outer(y**i, x**j)[used] for i, j in terms], axis=-1)
     weight = np.sqrt(count[used])
     fit = np.linalg.lstsq(design * weight[:, None], mean[used] * weight, rcond=None)[0]
-    row = (2 * np.arange(rows) + 1 - rows) / rows
-    column = (2 * np.arange(columns) + 1 - columns) / columns
-    trend = sum(
-        c * np.multiply.outer(row**i, column**j) for c, (i, j) in zip(fit, terms, strict=True)
-    )
-    low = 0.1 * float(amplitude[image.valid].mean())
-    return _centred(amplitude / np.maximum(trend, low), image.valid)
+    factors = np.zeros((degree + 1, degree + 1))
+    for factor, (i, j) in zip(fit, terms, strict=True):
+        factors[i, j] = factor
+    powers = np.arange(degree + 1)
+    row = ((2 * np.arange(rows) + 1 - rows) / rows)[:, None] ** powers
+    column = ((2 * np.arange(columns) + 1 - columns) / columns)[:, None] ** powers
+    return np.asarray(np.maximum(row @ factors @ column.T, 0.1 * float(values[valid].mean())))
+
+
+def flattened(image: Image) -> FloatArray:
+    """Amplitude over its smooth trend, less 1; 0 where not valid."""
+    amplitude = np.sqrt(image.power)
+    return _centred(amplitude / smooth_trend(amplitude, image.valid), image.valid)
 
 
 def _centred(level: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:

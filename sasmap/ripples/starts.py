@@ -39,9 +39,9 @@ MAX_STAGES = 100
 # Rounds of importance sampling, draws of each, their degrees of freedom, and the share of effective
 # draws from which the proposal is as the posterior.
 LEARNING_ROUNDS, LEARNING_DRAWS, TAIL, LEARNED_SHARE = 10, 200, 8.0, 0.3
-# Other points of the scan that are climbed from, and by how much the first population is wider than
-# the peak.
-RIVALS = 2
+# Log ratio of heights that are far from each other, and by how much the first population is wider
+# than the peak.
+FAR = 0.5
 WIDEN = 2.0
 EDGE = 1e-9
 # Width of the kernels, in units of the population's spread, where it has one peak.
@@ -217,10 +217,25 @@ def _spread(
 
 
 def rivals(table: FloatArray, peak: FloatArray) -> list[FloatArray]:
-    """Points of the scan that may lead to other peaks: the best at heights far from the peak's."""
-    far = np.abs(np.log(np.maximum(table[:, 1], 1e-12) / max(float(peak[1]), 1e-12))) > 0.5
-    order = np.argsort(-table[far, SIZE])[:RIVALS]
-    return [row[:SIZE] for row in table[far][order]]
+    """Return points of the scan that may lead to other peaks.
+
+    The best at heights far from the peak's, and the best with each other noise than the best's: a
+    floor that is bright in its shadow and one that has none look alike.
+
+    Parameters
+    ----------
+    table : ndarray (n, SIZE + 1)
+        Of :func:`scan`.
+    peak : ndarray (SIZE,)
+
+    Returns
+    -------
+    list of ndarray (SIZE,)
+    """
+    best = table[np.argmax(table[:, SIZE])]
+    apart = np.abs(np.log(np.maximum(table[:, 1], 1e-12) / max(float(peak[1]), 1e-12))) > FAR
+    others = [apart] + [table[:, 4] == noise for noise in NOISES if noise != best[4]]
+    return [table[o][np.argmax(table[o, SIZE]), :SIZE] for o in others if o.any()]
 
 
 def _scales(data: FoldData, prior: Prior, peak: FloatArray) -> FloatArray:
