@@ -7,7 +7,9 @@ import xarray as xr
 
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.fit import Fit, Task, fit_wave
+from sasmap.ripples.folded import Proposal
 from sasmap.ripples.image import Image, as_image
+from sasmap.ripples.kernel import SIZE
 from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.model import modelled_amplitude
 from sasmap.ripples.posterior import (
@@ -28,6 +30,8 @@ from sasmap.ripples.weak import sample_weak
 
 MIN_PIXELS = 400
 ROUND = 400
+# Draws a chain after which its proposal is learned again, and from how many draws.
+BURN_IN, RELEARNED = (1500, 1500), 240
 # Share of the local frequency's variation by which a bent clip's A_H is uncertain.
 BENT_SHARE = 0.7
 # By how much the burn-in population is widened: one too narrow would not find out.
@@ -206,23 +210,52 @@ def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleS
 
 
 def _sampled(fit: Fit, task: Task, rng: np.random.Generator) -> tuple[np.ndarray, float, bool]:
-    """Draws (chain, draw, parameter), accepted fraction, and whether they converged."""
-    settings, data, compiled = task.settings, fit.data, task.compiled
-    members, width = population(fit.theta, data, task.prior, compiled, rng)
-    proposal = learn_proposal(members, WIDENED, width)
-    states = members[rng.permutation(len(members))[: settings.chains]]
+    """Draws (chain, draw, parameter), accepted fraction, and whether they converged.
+
+    Where chains do not converge soon, what they saw was burn-in: the proposal is learned anew from
+    it and frozen again.
+    """
+    chains = task.settings.chains
+    members, width = population(fit.theta, fit.data, task.prior, task.compiled, rng)
+    states = members[rng.permutation(len(members))[:chains]]
+    for most in (*BURN_IN, task.settings.draws):
+        proposal = learn_proposal(members, WIDENED, width)
+        draws, accepted = _rounds(states, proposal, min(most, task.settings.draws), fit, task, rng)
+        done = _all_converged(draws)
+        if done:
+            break
+        seen = draws[:, draws.shape[1] // 3 :].reshape(-1, SIZE)
+        members, width = seen[rng.permutation(len(seen))[:RELEARNED]], None
+        states = draws[:, -1]
+    return parameters(draws), accepted, done
+
+
+def _rounds(
+    states: np.ndarray,
+    proposal: Proposal,
+    most: int,
+    fit: Fit,
+    task: Task,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float]:
+    """Run chains until they converge, or for this many draws each."""
     rounds: list[np.ndarray] = []
-    accepted, kept, done = 0, 0, False
-    while kept < settings.draws and not done:
-        steps = min(max(ROUND, kept // 2), settings.draws - kept)
-        chains = [metropolis(state, steps, proposal, data, compiled, rng) for state in states]
+    accepted, kept = 0, 0
+    while kept < most:
+        steps = min(max(ROUND, kept // 2), most - kept)
+        chains = [metropolis(s, steps, proposal, fit.data, task.compiled, rng) for s in states]
         states = np.array([chain.draws[-1] for chain in chains])
         accepted += sum(chain.accepted for chain in chains)
         kept += steps
         rounds.append(np.stack([chain.draws for chain in chains]))
-        draws = np.concatenate(rounds, axis=1)
-        done = all(converged(parameters(draws)[..., i]) for i in range(3))
-    return parameters(draws), accepted / (kept * len(states)), done
+        if _all_converged(np.concatenate(rounds, axis=1)):
+            break
+    return np.concatenate(rounds, axis=1), accepted / (kept * len(states))
+
+
+def _all_converged(draws: np.ndarray) -> bool:
+    theta = parameters(draws)
+    return all(converged(theta[..., i]) for i in range(3))
 
 
 def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -> np.ndarray:

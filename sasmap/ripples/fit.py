@@ -242,8 +242,12 @@ def _with_residuals(task: Task, search: Fit, fit: Fit) -> Fit:
     factor = 1.0
     if task.settings.speckle == "measured":
         factor = max(noise_factor(task.image, fit.phase.wave, ratio), dispersion(fit)[0], 1.0)
-    data = fit.data._replace(power=1 / factor)
-    return fit._replace(data=data, trended=trended, noise_factor=factor)
+    data, theta, level = fit.data._replace(power=1 / factor), fit.theta, fit.level
+    if factor > 1:  # what a field's phases say counts for more now
+        theta, level = polished(theta, data, task.compiled, near=True)
+    return Fit(
+        fit.phase, fit.trend, data, theta, level, fit.profile, trended, factor, fit.reference
+    )
 
 
 def dispersion(fit: Fit) -> tuple[float, float]:

@@ -345,11 +345,11 @@ def polished(
     width = max(float(np.ptp(data.across)), length / 4)
     turn = WAVE_SPREAD / width / theta[0]
     step = np.array([WAVE_SPREAD / length, 0.15 * theta[1], turn, np.pi / PHASES, 0.7, 0.2])
-    if not data.fine:
+    if data.fine == 0 and data.field == 0:
         # one block a strip tells nothing across the look, one strip nothing along it
-        if data.field == 0:
-            step[2] = 0.0
-            step[0] *= data.group[-1] > 1
+        step[2] = 0.0
+        step[0] *= data.group[-1] > 1
+    if data.fine == 0 and not near:
         return theta, float(climb(theta, step, data, compiled, ROUNDS))
     if data.shadow:  # edges of shadow make bent ridges
         step = step * (0.05 if near else 0.2)
