@@ -37,6 +37,9 @@ ENOUGH = 0.7
 LONG_WAVES, LONG_PEAK = 7.0, 16.0
 # Wavelengths along its normal that a wave must extend over (participation ratio of its energy).
 MIN_EXTENT = 2.6
+# Of a wave that extends over as many, and this share of the clip, the ray may hold so much more:
+# crests that bend put power there, but an edge, a band or an object lies in one place.
+WIDESPREAD, WIDESPREAD_SHARE, WIDESPREAD_RELIEF = 4.0, 0.45, 6.0
 # Bins to which the lobe of a line reaches after a Hann taper.
 LOBE = 2.1
 # Larger amplitudes than this many times their trend count as this.
@@ -240,11 +243,18 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
             ratio = float(smooth[row, column])
             least = enough if found.waves[row, column] >= LONG_WAVES else LONG_PEAK
             chance = float(gammaincc(looks, looks * ratio)) * trials / looks
-            around = min(ratio, _over_ray(found.with_trend, row, column, size))
-            if around < 0.5 * least or chance > 1:
+            if ratio < 0.5 * least or chance > 1:
+                continue
+            over_ray = _over_ray(found.with_trend, row, column, size)
+            if WIDESPREAD_RELIEF * over_ray < 0.5 * least:
                 continue
             vector = image.per_metre(_peak(found.power, row, column, max(size, 3)))
             extent = _extent(image, found.plain, vector)
+            if extent > max(WIDESPREAD_SHARE * found.waves[row, column], WIDESPREAD):
+                over_ray *= WIDESPREAD_RELIEF
+            around = min(ratio, over_ray)
+            if around < 0.5 * least:
+                continue
             energy = float(found.power[row, column])
             chance_of = _probability(chance, around / least, extent)
             waves.append(Wave(vector, chance_of, extent, float(ratio), energy))
