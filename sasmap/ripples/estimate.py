@@ -112,15 +112,15 @@ def _default(
     if waves is None:
         return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
     chosen, probability = _candidates(image, waves, settings)
+    shadow = settings.shadow if _can_cast_shadow(image, prior) else None
+    task = Task(image, shadow, settings, prior, prior.compiled(image.azimuth))
+    if settings.presence == "assumed" and probability <= PRESENT:
+        weak = _weak(task, [*chosen, *waves][0], probability, rng)
+        if weak is not None:
+            return weak
     if not chosen:
         quality = _why_not(image, found, waves, settings)
         return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
-    shadow = settings.shadow if _can_cast_shadow(image, prior) else None
-    task = Task(image, shadow, settings, prior, prior.compiled(image.azimuth))
-    if probability <= PRESENT:  # assumed
-        weak = _weak(task, chosen[0], probability, rng)
-        if weak is not None:
-            return weak
     fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.level)
     draws, acceptance, done = _sampled(fit, task, rng)
     return Posterior(
@@ -320,7 +320,8 @@ def _can_cast_shadow(image: Image, prior: Prior) -> bool:
     valid = image.valid
     lowest = float((image.altitude[valid] / image.ground_range[valid]).min())
     # of the three profiles the peaked one is the steepest
-    return bool(1.3 * 2 * np.pi * prior.bounds[0][1] * prior.bounds[1][1] >= lowest)
+    steepest = min(2 * np.pi * prior.bounds[0][1] * prior.bounds[1][1], prior.steepest)
+    return bool(1.3 * steepest >= lowest)
 
 
 def _published(clip: Clip, prior: Prior, rng: np.random.Generator) -> Posterior:

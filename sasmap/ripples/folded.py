@@ -112,12 +112,13 @@ class FoldData(NamedTuple):
 
 
 class PriorData(NamedTuple):
-    """Truncated Gaussian of (f, A_H, azimuth) as the compiled code reads it."""
+    """Truncated Gaussian of (f, A_H, azimuth), up to a steepness, as the compiled code reads it."""
 
     mean: FloatArray
     precision: FloatArray
     lower: FloatArray
     upper: FloatArray
+    steepest: float
 
 
 class Proposal(NamedTuple):

@@ -58,7 +58,9 @@ def log_prior(theta, data, prior):  # type: ignore[no-untyped-def]
             return -np.inf
     if not (NOISE_BOUNDS[0] <= theta[4] <= NOISE_BOUNDS[1]):
         return -np.inf
-    if np.cos(theta[2] - data.look) <= 0.0:  # the same sea floor, looked at the other way round
+    # across the look: the same sea floor, looked at the other way round
+    across = np.cos(theta[2] - data.look) <= 0.0
+    if across or theta[0] * theta[1] * 2.0 * np.pi > prior.steepest:
         return -np.inf
     value = -0.5 * ((theta[4] - NOISE_MEAN) / NOISE_SD) ** 2
     if not (data.blur_bounds[0] <= theta[5] <= data.blur_bounds[1]):

@@ -13,6 +13,10 @@ from sasmap.ripples.folded import PriorData
 
 FloatArray = NDArray[np.float64]
 
+# Sand stands no steeper than its angle of repose, 30 to 35 degrees; ripples of no sea floor are
+# steeper than 45.
+STEEPEST = 1.0
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -30,6 +34,8 @@ class Prior:
         Between f and A_H.
     azimuth : tuple of float
         Mean and standard deviation of the crest normal's azimuth, degrees; flat where infinite.
+    steepest : float
+        Largest steepness 2 pi f A_H.
     """
 
     mean: tuple[float, float]
@@ -37,12 +43,13 @@ class Prior:
     bounds: tuple[tuple[float, float], tuple[float, float]]
     correlation: float = 0.0
     azimuth: tuple[float, float] = (0.0, float("inf"))
+    steepest: float = float("inf")
 
     @classmethod
     def flat(cls, frequency: tuple[float, float], height: tuple[float, float]) -> Self:
-        """Return the prior that knows the bounds alone."""
+        """Return the prior that knows the bounds alone, and that sand does not stand upright."""
         middle = (sum(frequency) / 2, sum(height) / 2)
-        return cls(middle, (np.inf, np.inf), (frequency, height))
+        return cls(middle, (np.inf, np.inf), (frequency, height), steepest=STEEPEST)
 
     def compiled(self, look: float) -> PriorData:
         """Return the arrays that the compiled code reads, for a look azimuth in degrees."""
@@ -58,6 +65,7 @@ class Prior:
             inverse[:, None] * shape * inverse,
             np.array([f_low, h_low, -np.inf]),
             np.array([f_high, h_high, np.inf]),
+            self.steepest,
         )
 
 

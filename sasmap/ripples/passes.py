@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.likelihood import STEEPEST, Prior
 from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
 from sasmap.ripples.settings import RippleSettings
 
@@ -159,6 +159,7 @@ def next_prior(earlier: Sequence[Summary], settings: RippleSettings) -> Prior:
         (settings.frequency, settings.height),
         float(np.clip(last.correlation * shrink, -0.999, 0.999)),
         (last.azimuth[0], float(np.hypot(last.azimuth[1], AZIMUTH_SCATTER))),
+        STEEPEST,
     )
 
 

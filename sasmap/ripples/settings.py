@@ -20,7 +20,10 @@ class RippleSettings(BaseModel):
     frequency: Bounds = Field(
         (0.05, 5.0), description="truncation bounds of the prior of f, cycles/m"
     )
-    height: Bounds = Field((0.0, 0.5), description="truncation bounds of the prior of A_H, m")
+    height: Bounds = Field(
+        (0.0, 0.5),
+        description="truncation bounds of the prior of A_H, m; no slope is steeper than 1",
+    )
     shadow: Literal["line-of-sight", "crest"] = Field(
         "line-of-sight",
         description="shadow rule; crest is the published one, always used by zare-cobb",

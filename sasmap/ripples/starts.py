@@ -80,7 +80,7 @@ def scan(data: FoldData, prior: Prior) -> FloatArray:
     phases, blurs = 2 * np.pi * np.arange(PHASES) / PHASES, data.blur[:1]
     if data.field == 1:
         phases, blurs = np.zeros(1), np.clip(data.blur[0] + np.log(BLURS), *data.blur_bounds)
-    axes = np.meshgrid(heights(prior), phases, NOISES, blurs, indexing="ij")
+    axes = np.meshgrid(heights(prior, frequency), phases, NOISES, blurs, indexing="ij")
     table = np.zeros((axes[0].size, SIZE + 1))
     table[:, 0], table[:, 2] = frequency, azimuth
     for column, axis in zip((1, 3, 4, 5), axes, strict=True):
@@ -279,9 +279,10 @@ def parameters(x: FloatArray) -> FloatArray:
     return theta
 
 
-def heights(prior: Prior) -> FloatArray:
+def heights(prior: Prior, frequency: float) -> FloatArray:
     """Return the values of A_H to scan: evenly over a narrow prior, else in proportion."""
     low, high = prior.bounds[1]
+    high = max(min(high, 0.999 * prior.steepest / (2 * np.pi * frequency)), low)
     spot = _bulk(prior, 1)
     if spot is not None and spot[1] < 0.1 * (high - low):
         return np.unique(np.clip(spot[0] + spot[1] * np.linspace(-2.5, 2.5, HEIGHTS), low, high))

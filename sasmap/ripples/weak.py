@@ -147,12 +147,12 @@ def sums_at(waves: FloatArray, clip: Weak, shape: tuple[int, int]) -> ComplexArr
     across = np.exp(-2j * np.pi * waves[:, :1] * right)
     along = np.exp(-2j * np.pi * waves[:, 1:] * down)
     total = np.einsum("nr,nr->n", along, across @ clip.boxes.T)
-    return np.asarray(total / _box_response(waves, clip.size))
+    return np.asarray(total)
 
 
-def _box_response(waves: FloatArray, size: int) -> FloatArray:
-    """Return what a box leaves of a wave through it."""
-    return np.asarray(np.maximum(np.sinc(waves * size).prod(axis=1), 0.1))
+def box_response(waves: FloatArray, size: int) -> FloatArray:
+    """Return what boxes leave of the contrast of waves (n, 2) in cycles a column and a row."""
+    return np.asarray(np.sinc(waves * size).prod(axis=1))
 
 
 def _log_prior(f: FloatArray, height: FloatArray, turn: FloatArray, task: Task) -> FloatArray:
@@ -167,7 +167,8 @@ def _log_prior(f: FloatArray, height: FloatArray, turn: FloatArray, task: Task) 
                 value = value - 0.5 * compiled.precision[i, j] * off[i] * off[j]
     (f_low, f_high), (h_low, h_high) = task.prior.bounds
     inside = (f >= f_low) & (f <= f_high) & (height >= h_low) & (height <= h_high)
-    return np.where(inside & (np.cos(turn) > 0), value, -np.inf)
+    inside = inside & (np.cos(turn) > 0) & (2 * np.pi * f * height <= task.prior.steepest)
+    return np.where(inside, value, -np.inf)
 
 
 def _polar(waves: FloatArray, image: Image) -> tuple[FloatArray, FloatArray]:
@@ -219,11 +220,10 @@ def wave_grid(clip: Weak, task: Task) -> Grid | None:
         return None
     known = np.abs(fft2(clip.boxes, shape)).ravel()[inside]
     waves, f, turn = waves[inside], f[inside], turn[inside]
-    known = known / _box_response(waves, clip.size)
     edges = _height_edges(prior)
     middle = 0.5 * (edges[1:] + edges[:-1])
     steepness = 2 * np.pi * (f * np.cos(turn))[:, None] * middle
-    a = contrast(steepness, clip.tilt)
+    a = contrast(steepness, clip.tilt) * box_response(waves, clip.size)[:, None]
     gain = log_gain(a, known[:, None], clip)
     # density over cells of waves: that over (f, azimuth) by f
     level = gain + _log_prior(f[:, None], middle, turn[:, None], task) - np.log(f)[:, None]
@@ -266,7 +266,7 @@ def propose(
     f, turn = _polar(waves, task.image)
     total = sums_at(waves, clip, task.image.shape)
     steepness = 2 * np.pi * f * np.maximum(np.cos(turn), 0) * height
-    a = contrast(steepness, clip.tilt) / (1 + np.exp(noise))
+    a = contrast(steepness, clip.tilt) / (1 + np.exp(noise)) * box_response(waves, clip.size)
     level = log_gain(a, np.abs(total), clip) + _log_prior(f, height, turn, task) - np.log(f)
     level[(noise < NOISE_BOUNDS[0]) | (noise > NOISE_BOUNDS[1])] = -np.inf
     states = np.empty((n, SIZE))

@@ -175,4 +175,5 @@ def test_compiled_prior_is_the_truncated_gaussian_with_correlation():
     np.testing.assert_allclose(np.diff([at(*p) for p in points]), np.diff(expected))
     assert at(0.05, 0.1, 0.0) == at(0.6, -0.01, 0.0) == at(0.6, 0.1, 91.0) == -np.inf
     flat = Prior.flat((0.1, 1.0), (0.0, 0.3)).compiled(90.0)
-    assert at(0.2, 0.0, -60.0, flat) == at(0.9, 0.3, 80.0, flat)
+    assert at(0.2, 0.0, -60.0, flat) == at(0.9, 0.15, 80.0, flat)
+    assert at(0.9, 0.3, 80.0, flat) == -np.inf  # steeper than sand stands
