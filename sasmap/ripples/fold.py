@@ -15,6 +15,8 @@ from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.pixels import (
     ALONG,
     COUNT,
+    EDGE_BLOCK,
+    EDGE_POWER,
     KNOWN,
     PHASE,
     TOTAL,
@@ -46,7 +48,7 @@ NEARER, FARTHER = 0.994, 1.012
 # and how far from its place an edge may be seen at a pixel (standard deviation), in pixels, at
 # first and when a fold is made again and again. Floors are not quite even, and images know them by
 # their pixels.
-EDGE_PIXELS = 700
+EDGE_PIXELS = 450
 ZONES, EDGE_SDS = (5.0, 2.0, 1.0), (1.0, 0.4, 0.12)
 # But no more of a wave than this, cycles.
 MAX_ZONES = (0.07, 0.05, 0.05)
@@ -262,11 +264,12 @@ def fold(
         image.altitude,
         phase.cycles(image.shape),
         plan,
+        zero,
     )
     count = sums[..., COUNT]
     dark[:, 1] += DYNAMIC_RANGE * dark[:, 0]
-    edges = edges[np.argsort(edges[:, 0], kind="stable")]
-    edges[:, -1] += DYNAMIC_RANGE
+    edges = edges[np.argsort(edges[:, EDGE_BLOCK], kind="stable")]
+    edges[:, EDGE_POWER] += DYNAMIC_RANGE
     blocks = _blocks(plan, places)
     bins = _bins(sums, blocks)
     if reference is None:
@@ -291,7 +294,7 @@ def fold(
         flat=bins.flat,
         dark=dark,
         edges=edges,
-        edge_start=np.searchsorted(edges[:, 0], np.arange(len(dark) + 1)),
+        edge_start=np.searchsorted(edges[:, EDGE_BLOCK], np.arange(len(dark) + 1)),
         edge_sd=_nearness(reference, image.pixel_size * float(np.hypot(*wave)))[1],
         along=blocks.along,
         across=blocks.across,

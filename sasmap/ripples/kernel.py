@@ -25,6 +25,14 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from sasmap.ripples.pixels import (
+    EDGE_ACROSS,
+    EDGE_ALONG,
+    EDGE_COSINE,
+    EDGE_PAST,
+    EDGE_POWER,
+    EDGE_SINE,
+)
 from sasmap.ripples.scattering import SIGMA_VARIANCE
 
 SIZE = 6
@@ -179,6 +187,17 @@ def _lit(i, block, turn, swing, change, full, data):  # type: ignore[no-untyped-
     return a * a * data.flat[block, i]
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _turned(c, s, turn):  # type: ignore[no-untyped-def]
+    """Cosine and sine of a phase that is a turn ahead, which is small as a rule."""
+    if abs(turn) > 0.3:
+        x, y = np.cos(turn), np.sin(turn)
+    else:
+        x = 1.0 - 0.5 * turn * turn
+        y = turn * (1.0 - turn * turn / 6.0)
+    return c * x - s * y, s * x + c * y
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _edge_value(block, begin, end, theta, along, across, swing, full, gain, data):  # type: ignore[no-untyped-def]
     """Log likelihood of a block's pixels near edges of shadow, each on either side of its edge.
@@ -186,29 +205,30 @@ def _edge_value(block, begin, end, theta, along, across, swing, full, gain, data
     `begin` and `end` of shadow are cycles past the crest, `along` and `across` the wave vector
     beyond the fold's. Gaussian jitter of the edge as a logistic law of the same spread.
     """
+    first, last = data.edge_start[block], data.edge_start[block + 1]
+    shift = theta[3] - data.reference[0]
+    x, y = np.cos(shift), np.sin(shift)
     noise = np.exp(theta[4])
-    log_noise, log_gain = np.log(noise), np.log(gain)
+    dark, flat, sharp = 1.0 / noise, data.flat[block, 0], 1.7 / data.edge_sd
+    middle = 0.5 * (begin + end)
+    half = 0.5 * (end - begin) if end > begin else -1.0
     value = 0.0
-    for k in range(data.edge_start[block], data.edge_start[block + 1]):
-        place = along * data.edges[k, 4] + across * data.edges[k, 5]
-        offset = theta[3] - data.reference[0] + 2.0 * np.pi * place
-        phase = 2.0 * np.pi * data.edges[k, 2] + data.zero + offset
-        past = phase / (2.0 * np.pi) - 0.25 - data.edges[k, 3]
-        inside = past - begin if data.edges[k, 1] == 0.0 else end - past
-        inside -= np.floor(inside + 0.5)
-        if end <= begin:
-            inside = -1.0
-        odds = 1.7 * inside / data.edge_sd
-        slope = _slope_of(np.cos(phase), np.sin(phase), full, data.profile)
-        a = max(1.0 + swing * slope, 0.0)
-        level = a * a * data.flat[block, 0] + noise
-        y = data.edges[k, 6] / gain
-        # log of (dark * e^odds + lit) / (1 + e^odds)
-        dark = odds - y / noise - log_noise
-        lit = -y / level - np.log(level)
-        value += max(dark, lit) + np.log1p(np.exp(-abs(dark - lit))) - log_gain + 1.0
-        value -= max(odds, 0.0) + np.log1p(np.exp(-abs(odds)))
-    return value
+    for k in range(first, last):
+        turn = along * data.edges[k, EDGE_ALONG] + across * data.edges[k, EDGE_ACROSS]
+        # from the middle of the shadow, and the half of it that is nearer
+        past = data.edges[k, EDGE_PAST] + turn + shift / (2.0 * np.pi) - middle
+        past -= np.floor(past + 0.5)
+        inside = half - abs(past)
+        c, s = data.edges[k, EDGE_COSINE], data.edges[k, EDGE_SINE]
+        c, s = _turned(c * x - s * y, s * x + c * y, 2.0 * np.pi * turn)
+        a = max(1.0 + swing * _slope_of(c, s, full, data.profile), 0.0)
+        lit = 1.0 / (a * a * flat + noise)
+        power = data.edges[k, EDGE_POWER] / gain
+        odds = np.exp(min(max(sharp * inside, -60.0), 60.0))
+        # log of (dark odds exp(-power dark) + lit exp(-power lit)) / (1 + odds)
+        less = np.exp(min(power * (lit - dark), 60.0))
+        value += np.log((odds * dark * less + lit) / (1.0 + odds)) - power * lit
+    return value + (last - first) * (1.0 - np.log(gain))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

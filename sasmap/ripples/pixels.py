@@ -13,10 +13,12 @@ BoolArray = NDArray[np.bool_]
 
 # Sums of a fold over each bin, in this order.
 COUNT, KNOWN, TOTAL, PHASE, ALONG, SUMS = range(6)
-# What is kept of a pixel near an edge of shadow: its block, whether the edge is where shadow ends,
-# its phase (cycles), how far the edge there lies from the block's (cycles), its place along and
-# across the look (m), and its intensity.
-EDGE_PARTS = 7
+# What is kept of a pixel near an edge of shadow: its block, its phase past the crest, less how far
+# the edge there lies from the block's (cycles), its place along and across the look (m), its
+# intensity, and cosine and sine of its phase.
+EDGE_BLOCK, EDGE_PAST, EDGE_ALONG, EDGE_ACROSS, EDGE_POWER, EDGE_COSINE, EDGE_SINE, EDGE_PARTS = (
+    range(8)
+)
 # The golden ratio's multiples are even on the circle: they tell which pixels are kept.
 GOLDEN = 0.6180339887498949
 
@@ -172,8 +174,10 @@ def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan):  # type: ignore[no-untyped-def]
+def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan, zero):  # type: ignore[no-untyped-def]
     """Sum pixels over bins of phase and blocks; `field` is their phase beyond the plan's, if any.
+
+    `zero` is the ripple's phase, rad, at the first bin's beginning.
 
     Returns sums (all blocks, bins, SUMS) of lit pixels; number not saturated and total intensity of
     those in shadow (all blocks, 2); for each block sums of one, place along and across, ground
@@ -225,13 +229,15 @@ def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan):  
                         and kept < plan.most
                         and not saturated[i, j]
                     ):
-                        edges[kept, 0] = block
-                        edges[kept, 1] = 1.0 if last else 0.0
-                        edges[kept, 2] = cycles
-                        edges[kept, 3] = (bend[strip, 3] if last else bend[strip, 2]) * offset
-                        edges[kept, 4] = along
-                        edges[kept, 5] = across
-                        edges[kept, 6] = power[i, j]
+                        phase = 2.0 * np.pi * cycles + zero
+                        moved = (bend[strip, 3] if last else bend[strip, 2]) * offset
+                        edges[kept, EDGE_BLOCK] = block
+                        edges[kept, EDGE_PAST] = phase / (2.0 * np.pi) - 0.25 - moved
+                        edges[kept, EDGE_ALONG] = along
+                        edges[kept, EDGE_ACROSS] = across
+                        edges[kept, EDGE_POWER] = power[i, j]
+                        edges[kept, EDGE_COSINE] = np.cos(phase)
+                        edges[kept, EDGE_SINE] = np.sin(phase)
                         kept += 1
                     continue
                 if distance > 0.0:

@@ -234,6 +234,7 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
     if not searched.any():
         return None
     waves: list[Wave] = []
+    extents: dict[tuple[float, float], float] = {}
     trials = float(searched.sum())
     strongest = np.where(searched, found.white, 0.0)
     for size, looks, enough in BOXES:
@@ -248,8 +249,11 @@ def find_waves(image: Image, found: Spectrum, bounds: tuple[float, float]) -> li
             over_ray = _over_ray(found.with_trend, row, column, size)
             if WIDESPREAD_RELIEF * over_ray < 0.5 * least:
                 continue
-            vector = image.per_metre(_peak(found.power, row, column, max(size, 3)))
-            extent = _extent(image, found.plain, vector)
+            peak = _peak(found.power, row, column, max(size, 3))
+            vector, key = image.per_metre(peak), (float(peak[0]), float(peak[1]))
+            if key not in extents:  # boxes of several sizes find the same peak
+                extents[key] = _extent(image, found.plain, vector)
+            extent = extents[key]
             if extent > max(WIDESPREAD_SHARE * found.waves[row, column], WIDESPREAD):
                 over_ray *= WIDESPREAD_RELIEF
             around = min(ratio, over_ray)

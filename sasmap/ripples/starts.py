@@ -354,6 +354,7 @@ def polished(
         return theta, float(climb(theta, step, data, compiled, ROUNDS))
     if data.shadow:  # edges of shadow make bent ridges
         step = step * (0.05 if near else 0.2)
-        evolve(theta, step, data, compiled, GENERATIONS, np.random.default_rng(0))
+        generations = GENERATIONS // 2 if near else GENERATIONS
+        evolve(theta, step, data, compiled, generations, np.random.default_rng(0))
         step = step / 4
     return theta, float(climb(theta, step, data, compiled, FINE_ROUNDS))
