@@ -35,7 +35,7 @@ BURN_IN, RELEARNED = (1500, 1500), 240
 # Share of the local frequency's variation by which a bent clip's A_H is uncertain.
 BENT_SHARE = 0.7
 # By how much the burn-in population is widened: one too narrow would not find out.
-WIDENED = 1.1
+WIDENED = 1.2
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
 # Standard deviations of the prior within which a wave is searched where it is assumed.

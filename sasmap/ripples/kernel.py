@@ -53,7 +53,7 @@ RAY_WEIGHTS = (0.1184634425, 0.2393143352, 0.2844444444, 0.2393143352, 0.1184634
 CHILDREN = 12
 # Weight of steps by differences of two members, and of nuisances drawn from near their prior; the
 # others are drawn anew.
-LOCAL, NUISANCE = 0.1, 0.15
+LOCAL, NUISANCE = 0.05, 0.08
 # Degrees of freedom of the kernels: with SIZE 6 their density is an inverse seventh power.
 STUDENT = 8.0
 

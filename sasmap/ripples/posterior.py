@@ -121,8 +121,9 @@ class Posterior:
     draws : Dataset (chain, draw)
         ``frequency`` (cycles/m), ``height`` (A_H, m), ``phase`` (rad, at the clip's centre) and
         ``noise`` (floor over the flat sea floor's intensity), ``azimuth`` (crest normal, degrees
-        clockwise from grid north, unwrapped about its mean) and ``blur`` (rad by which crests
-        stray from the phase); without draws where no ripple was sampled.
+        clockwise from grid north, unwrapped about its mean) and ``blur`` (with a phase field the
+        log of its error, rad; without, how many pixels behind its place the beginning of shadow is
+        seen); without draws where no ripple was sampled.
     acceptance : float
         Accepted fraction of the kept steps.
     left_out : LeftOut

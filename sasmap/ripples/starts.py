@@ -31,23 +31,23 @@ HEIGHTS = 18
 PHASES = 12
 NOISES = (np.log(0.004), np.log(0.04), np.log(0.4))
 BLURS = (0.6, 1.0, 1.7)
-PARTICLES = 160
+PARTICLES = 240
 # Moves per temperature, and the share of effective particles that sets the next temperature.
 MOVES = 3
 KEPT_SHARE = 0.3
 MAX_STAGES = 100
 # Rounds of importance sampling, draws of each, their degrees of freedom, and the share of effective
 # draws from which the proposal is as the posterior.
-LEARNING_ROUNDS, LEARNING_DRAWS, TAIL, LEARNED_SHARE = 10, 200, 8.0, 0.3
+LEARNING_ROUNDS, LEARNING_DRAWS, TAIL, LEARNED_SHARE = 10, 320, 8.0, 0.3
 # Log ratio of heights that are far from each other, and by how much the first population is wider
 # than the peak.
 FAR = 0.5
 WIDEN = 2.0
 EDGE = 1e-9
 # Width of the kernels, in units of the population's spread, where it has one peak.
-ONE_PEAK = 0.85
+ONE_PEAK = 0.7
 # Rounds of a climb, and generations of one that evolves.
-ROUNDS, FINE_ROUNDS = 30, 12
+ROUNDS, FINE_ROUNDS = 24, 6
 GENERATIONS = 35
 # Cosine of the angle to the look of which a start at least is.
 ACROSS = 1e-3

@@ -10,6 +10,7 @@ from sasmap.ripples.fit import Task, fit_wave
 from sasmap.ripples.image import as_image
 from sasmap.ripples.kernel import log_likelihood, log_prior, pulses, shadow_places
 from sasmap.ripples.likelihood import Prior, log_truncated_normal
+from sasmap.ripples.pixels import EDGE_ACROSS, EDGE_ALONG, EDGE_BLOCK, EDGE_PAST, EDGE_POWER
 from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 from sasmap.ripples.settings import RippleSettings
 from tests.helpers import clip_of, zare_cobb_clip
@@ -83,14 +84,13 @@ def test_edges_of_shadow_lie_where_pixels_turn_dark():
     data, centre = fit.data, float(clip.ground_range.mean())
     theta = np.array([*TRUTH, data.look, 2 * np.pi * TRUTH[0] * centre, np.log(1e-5), 0.0])
     places = shadow_places(theta, data)
-    begin, end = places[data.edges[:, 0].astype(int)].T
-    turn = theta[3] - data.reference[0]
-    along = TRUTH[0] - data.reference[1]
-    turn = turn / (2 * np.pi) + along * data.edges[:, 4] - data.reference[2] * data.edges[:, 5]
-    past = data.edges[:, 2] + data.zero / (2 * np.pi) + turn - 0.25 - data.edges[:, 3]
-    inside = np.where(data.edges[:, 1] == 0, past - begin, end - past)
-    inside -= np.rint(inside)
-    dark = data.edges[:, 6] < 2 * DYNAMIC_RANGE
+    begin, end = places[data.edges[:, EDGE_BLOCK].astype(int)].T
+    turn = (theta[3] - data.reference[0]) / (2 * np.pi)
+    turn += (TRUTH[0] - data.reference[1]) * data.edges[:, EDGE_ALONG]
+    turn -= data.reference[2] * data.edges[:, EDGE_ACROSS]
+    past = data.edges[:, EDGE_PAST] + turn
+    inside = 0.5 * (end - begin) - np.abs((past - 0.5 * (begin + end) + 0.5) % 1 - 0.5)
+    dark = data.edges[:, EDGE_POWER] < 2 * DYNAMIC_RANGE
     far = np.abs(inside[dark != (inside > 0)]) > 0.2 * data.pixel
     assert 100 < dark.sum() < 0.9 * dark.size
     assert far.sum() < 0.01 * dark.size

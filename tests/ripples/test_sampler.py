@@ -16,22 +16,23 @@ PRIOR = Prior((0.6, 0.1), (0.05, 0.04), ((0.5, 0.66), (0.0, 0.3)), 0.6, (92.0, 3
 def draws():
     """Draws of a target that is the prior: a likelihood to the power of nearly nothing."""
     data = fitted(zare_cobb_clip(24.4, 36.6, 0.6, 0.07), "crest").data
-    data = data._replace(power=1e-12, wave_precision=np.zeros(2))
+    # as with a field, so that the prior of the phase is proper
+    data = data._replace(power=1e-12, wave_precision=np.zeros(2), field=1)
     rng = np.random.default_rng(7)
     members = np.column_stack(
         [
             rng.normal(0.59, 0.04, 96),
             rng.normal(0.1, 0.04, 96),
             rng.normal(np.radians(92), 0.05, 96),
-            rng.uniform(0, 6, 96),
+            rng.normal(0, 0.1, 96),
             rng.normal(-4, 2, 96),
             rng.normal(data.blur[0], 1 / np.sqrt(data.blur[1]), 96),
         ]
     )
-    start = np.array([0.6, 0.1, np.radians(92), 1.0, -4.0, data.blur[0]])
+    start = np.array([0.6, 0.1, np.radians(92), 0.0, -4.0, data.blur[0]])
     compiled = PRIOR.compiled(90.0)
     chain = metropolis(start, 200_000, learn_proposal(members), data, compiled, rng)
-    assert 0.2 < chain.accepted / 200_000 < 0.9
+    assert 0.1 < chain.accepted / 200_000 < 0.9
     return parameters(chain.draws[1000::100])
 
 
