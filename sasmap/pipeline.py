@@ -26,9 +26,10 @@ from sasmap.productnames import MANIFEST, RIPPLE_PRODUCTS
 from sasmap.products.files import write_text
 from sasmap.products.model import on_cell, write_mosaic
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
+from sasmap.ripples.chain import Chain, chained, next_prior
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimate import estimate
-from sasmap.ripples.passes import Summary, cell_quality, next_prior, summarise
+from sasmap.ripples.passes import Summary, summarise
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.store import Store, code_version, digest
 from sasmap.survey.cells import Cell
@@ -115,6 +116,7 @@ class Outcome:
 
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
+    chains: dict[tuple[int, int], Chain] = field(default_factory=dict)
     models: dict[tuple[int, int], str] = field(default_factory=dict)
     failures: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -124,10 +126,7 @@ class Outcome:
 
     def counts(self) -> dict[str, int]:
         """Cells by quality."""
-        labels = [
-            cell_quality([s.quality for s in summaries if s is not None]).label
-            for summaries in self.cells.values()
-        ]
+        labels = [chain.quality.label for chain in self.chains.values()]
         return {q.label: labels.count(q.label) for q in Quality if q.label in labels}
 
 
@@ -261,13 +260,16 @@ def _estimate_cells(
     client: Any,
     progress: Callable[[int, int], None] | None,
 ) -> None:
+    settings = plan.settings.ripples
+    assert settings is not None
     tasks: dict[tuple[Cell, int], Any] = {}
     context = dask.delayed(_Context(plan, store), pure=False, traverse=False)
     for cell, looks in plan.cells.items():
         earlier: list[Any] = []
         for k in looks:
             tasks[cell, k] = dask.delayed(_run_look, pure=False)(context, cell, k, list(earlier))
-            earlier.append(tasks[cell, k])
+            if settings.method == "zare-cobb":  # the default method chains what looks know
+                earlier.append(tasks[cell, k])
     total = len(tasks)
     log.info("%d cells, %d looks at them", len(plan.cells), total)
     done = dict(zip(tasks, _compute(list(tasks.values()), workers, client, progress), strict=True))
@@ -284,6 +286,7 @@ def _estimate_cells(
                 summaries[k] = Summary(Quality.FAILED, LeftOut(0))
                 outcome.failures.append(_failure(cell, plan.looks[k], result.fault))
         outcome.cells[cell.row, cell.column] = summaries
+        outcome.chains[cell.row, cell.column] = chained(summaries, settings)
 
 
 def _failure(cell: Cell, look: Look, fault: str) -> dict[str, Any]:
@@ -343,7 +346,7 @@ def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> Look
     settings = plan.settings.ripples
     assert settings is not None
     prior = next_prior(earlier, settings)
-    key = _key(plan, cell, look, [prior.mean, prior.sd, prior.correlation, prior.azimuth])
+    key = _key(plan, cell, look, [prior.mean, prior.sd])
     kept = store.load(key)
     if kept is not None:
         return LookResult(kept, None, False, _model_key(store, key))
@@ -437,8 +440,8 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     outcome.written += write_ripple_rasters(
         store.output,
         outcome.cells,
+        outcome.chains,
         [look.sonar_pass.name for look in plan.looks],
-        settings,
         shape,
         grid.transform,
         grid.crs,
@@ -448,7 +451,15 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     path = store.output / "ripples.nc"
     labels = [look.label for look in plan.looks]
     write_ripples_netcdf(
-        path, outcome.cells, labels, shape, grid.transform, grid.crs, tags, store.scratch
+        path,
+        outcome.cells,
+        outcome.chains,
+        labels,
+        shape,
+        grid.transform,
+        grid.crs,
+        tags,
+        store.scratch,
     )
     outcome.written.append(path)
     if settings.keep_model:

@@ -80,10 +80,15 @@ class Store:
 def _summary(content: dict[str, Any]) -> Summary:
     if set(content) != {f.name for f in fields(Summary)}:
         raise ValueError("not a summary of this version")
-    pairs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
+    pairs = {k: _frozen(v) for k, v in content.items()}
     pairs["quality"] = Quality(content["quality"])
     pairs["left_out"] = LeftOut(content["left_out"])
     return Summary(**pairs)
+
+
+def _frozen(value: Any) -> Any:
+    """Turn lists, however deep, into the tuples they were."""
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
 
 
 def digest(content: Any) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 
 from sasmap.products.files import written_whole
 from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
-from sasmap.ripples.passes import Summary, cell_quality, used
+from sasmap.ripples.chain import Chain
+from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
-from sasmap.ripples.settings import RippleSettings
 
 # Colours after Okabe and Ito, told apart by colour-blind readers.
 QUALITY_COLOURS = {
@@ -30,14 +31,6 @@ QUALITY_COLOURS = {
     Quality.FAILED: (213, 94, 0, 255),
 }
 STATISTICS = ("mean", "sd", "q05", "q95")
-SUMMARY_UNITS = {
-    "mean": ("cycles/m", "m"),
-    "sd": ("cycles/m", "m"),
-    "q05": ("cycles/m", "m"),
-    "q95": ("cycles/m", "m"),
-    "prior_mean": ("cycles/m", "m"),
-    "prior_sd": ("cycles/m", "m"),
-}
 # Of f, A_H and the azimuth.
 CONVERGENCE = ("rhat", "ess_bulk", "ess_tail")
 SINGLE_UNITS = {
@@ -51,13 +44,14 @@ SINGLE_UNITS = {
 PROFILES = ("", "sine", "stokes", "peaked")
 
 Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
+Chains = Mapping[tuple[int, int], Chain]
 
 
 def write_ripple_rasters(
     folder: Path,
     cells: Cells,
+    chains: Chains,
     looks: Sequence[str],
-    settings: RippleSettings,
     shape: tuple[int, int],
     transform: Affine,
     crs: str,
@@ -71,9 +65,9 @@ def write_ripple_rasters(
     folder : Path
     cells : mapping of (row, column) to sequence of Summary or None
         A summary for each look, None where the look does not show the cell.
+    chains : mapping of (row, column) to Chain
     looks : sequence of str
         Name of the pass that each look belongs to.
-    settings : RippleSettings
     shape : tuple of int
         Rows and columns of the grid.
     transform : Affine
@@ -92,18 +86,13 @@ def write_ripple_rasters(
     quality = np.zeros(shape, np.uint8)
     passes = np.zeros(shape, np.uint8)
     for cell, summaries in cells.items():
-        present = [(k, s) for k, s in enumerate(summaries) if s is not None]
-        quality[cell] = cell_quality([s.quality for _, s in present])
-        chosen = chosen_look(summaries, settings)
-        probability[cell] = cell_probability(summaries, chosen)
-        if chosen is None:
-            continue
-        summary = summaries[chosen]
-        assert summary is not None
+        chain = chains[cell]
+        quality[cell] = chain.quality
+        probability[cell] = cell_probability(summaries, chain)
         for i, name in enumerate(STATISTICS):
-            values[:, i, *cell] = getattr(summary, name)
-        azimuth[:, *cell] = summary.azimuth
-        passes[cell] = len({looks[k] for k, s in present if s.quality is summary.quality})
+            values[:, i, *cell] = getattr(chain.final, name)
+        azimuth[:, *cell] = chain.final.azimuth
+        passes[cell] = len({looks[k] for k in chain.group})
     spots = (("frequency", "cycles/m"), ("height", "m"))
     written = []
     for k, (name, unit) in enumerate(spots):
@@ -127,31 +116,17 @@ def write_ripple_rasters(
     return written
 
 
-def cell_probability(summaries: Sequence[Summary | None], chosen: int | None) -> float:
-    """Probability that a cell is rippled: of the look that stands for it, else the largest."""
-    picked = summaries[chosen] if chosen is not None else None
-    if picked is not None and np.isfinite(picked.probability):
-        return picked.probability
-    known = [s.probability for s in summaries if s is not None and np.isfinite(s.probability)]
+def cell_probability(summaries: Sequence[Summary | None], chain: Chain) -> float:
+    """Probability that a cell is rippled: the largest of the looks that stand for it, or of all."""
+    group = [summaries[k] for k in chain.group] or summaries
+    known = [s.probability for s in group if s is not None and np.isfinite(s.probability)]
     return max(known, default=float("nan"))
-
-
-def chosen_look(summaries: Sequence[Summary | None], settings: RippleSettings) -> int | None:
-    """Index of the look whose chained posterior is the cell's product, or None."""
-    if any(s is not None and s.quality is Quality.FAILED for s in summaries):
-        return None
-    present = [k for k, s in enumerate(summaries) if s is not None]
-    found = [s for s in summaries if s is not None]
-    index = used(found, settings)
-    if index is None:  # better a flagged value than none
-        doubtful = [i for i, s in enumerate(found) if s.quality is Quality.NOT_CONVERGED]
-        index = doubtful[-1] if doubtful else None
-    return None if index is None else present[index]
 
 
 def write_ripples_netcdf(
     path: Path,
     cells: Cells,
+    chains: Chains,
     looks: Sequence[str],
     shape: tuple[int, int],
     transform: Affine,
@@ -165,6 +140,7 @@ def write_ripples_netcdf(
     ----------
     path : Path
     cells : mapping of (row, column) to sequence of Summary or None
+    chains : mapping of (row, column) to Chain
     looks : sequence of str
         Labels, one a look.
     shape : tuple of int
@@ -177,28 +153,7 @@ def write_ripples_netcdf(
     scratch : Path
     """
     full = (len(looks), *shape)
-    variables: dict[str, Any] = {}
-    for name, units in SUMMARY_UNITS.items():
-        for k, parameter in enumerate(("frequency", "height")):
-            field = _field(cells, full, lambda s, n=name, i=k: getattr(s, n)[i])
-            variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": units[k]})
-    for name in CONVERGENCE:
-        for k, parameter in enumerate(JUDGED):
-            field = _field(cells, full, lambda s, n=name, i=k: getattr(s, n)[i])
-            variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": "1"})
-    for k, statistic in enumerate(("mean", "sd")):
-        for source, target in (("azimuth", statistic), ("prior_azimuth", f"prior_{statistic}")):
-            field = _field(cells, full, lambda s, n=source, i=k: getattr(s, n)[i])
-            variables[f"azimuth_{target}"] = (_DIMS, field, {"units": "degrees"})
-    for name, unit in SINGLE_UNITS.items():
-        field = _field(cells, full, lambda s, n=name: getattr(s, n))
-        variables[name] = (_DIMS, field, {"units": unit})
-    profile = _field(cells, full, lambda s: float(PROFILES.index(s.profile)))
-    variables["profile"] = (_DIMS, np.nan_to_num(profile).astype(np.int8), _profiles())
-    quality = _field(cells, full, lambda s: float(s.quality))
-    left_out = _field(cells, full, lambda s: float(s.left_out))
-    variables["quality"] = (_DIMS, np.nan_to_num(quality).astype(np.int8), _flags())
-    variables["left_out"] = (_DIMS, np.nan_to_num(left_out).astype(np.int16), _masks())
+    variables = {**_known_fields(cells, chains, full), **_look_fields(cells, full)}
     for name in variables:
         variables[name][2]["grid_mapping"] = "spatial_ref"
     spatial = pyproj.CRS.from_wkt(crs).to_cf()
@@ -218,15 +173,76 @@ def write_ripples_netcdf(
 
 
 _DIMS = ("pass", "y", "x")
+_PARAMETERS = (("frequency", "cycles/m"), ("height", "m"))
 
 
-def _field(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+def _known_fields(cells: Cells, chains: Chains, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Collect what is known of each cell before and after each look, and by it alone."""
+    variables: dict[str, Any] = {}
+    sources: tuple[tuple[str, str, Any], ...] = (
+        ("", "after this pass, all so far chained", lambda c, k: chains[c].posteriors[k]),
+        ("prior_", "before this pass", lambda c, k: chains[c].priors[k]),
+        ("alone_", "by this pass alone", lambda c, k: cells[c][k]),
+    )
+    for prefix, about, source in sources:
+        for name in ("mean", "sd") if prefix == "prior_" else STATISTICS:
+            for i, (parameter, unit) in enumerate(_PARAMETERS):
+                values = _values(cells, shape, partial(_statistic, source, name, i))
+                attributes = {"units": unit, "long_name": f"{name} of {parameter} {about}"}
+                variables[f"{parameter}_{prefix}{name}"] = (_DIMS, values, attributes)
+        for i, name in enumerate(("mean", "sd")):
+            values = _values(cells, shape, partial(_statistic, source, "azimuth", i))
+            attributes = {"units": "degrees", "long_name": f"axial {name} of the azimuth {about}"}
+            variables[f"azimuth_{prefix}{name}"] = (_DIMS, values, attributes)
+    apart = _values(cells, shape, lambda c, k: chains[c].disagreements[k])
+    about = "squared distance from the other passes; chi-squared, 3 degrees of freedom, by chance"
+    variables["disagreement"] = (_DIMS, apart, {"units": "1", "long_name": about})
+    return {**variables, **_verdicts(chains, shape)}
+
+
+def _verdicts(chains: Chains, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Collect the quality of each look and whether it stands for its cell."""
+    quality, used = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
+    for cell, chain in chains.items():
+        quality[:, *cell] = chain.qualities
+        used[list(chain.group), *cell] = 1
+    about = {"units": "1", "long_name": "stands for the cell"}
+    return {"quality": (_DIMS, quality, _flags()), "used": (_DIMS, used, about)}
+
+
+def _statistic(source: Any, name: str, i: int, cell: tuple[int, int], k: int) -> float:
+    return float(getattr(source(cell, k), name)[i])
+
+
+def _values(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+    """Fill a field with a value of each cell and look that shows it."""
     field = np.full(shape, np.nan)
     for cell, summaries in cells.items():
         for k, summary in enumerate(summaries):
             if summary is not None:
-                field[k, *cell] = value(summary)
+                field[k, *cell] = value(cell, k)
     return field
+
+
+def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
+    """How each look went: convergence, crests, quality, what was left out."""
+    variables: dict[str, Any] = {}
+    for name in CONVERGENCE:
+        for k, parameter in enumerate(JUDGED):
+            field = _field(cells, shape, lambda s, n=name, i=k: getattr(s, n)[i])
+            variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": "1"})
+    for name, unit in SINGLE_UNITS.items():
+        field = _field(cells, shape, lambda s, n=name: getattr(s, n))
+        variables[name] = (_DIMS, field, {"units": unit})
+    profile = _field(cells, shape, lambda s: float(PROFILES.index(s.profile)))
+    variables["profile"] = (_DIMS, np.nan_to_num(profile).astype(np.int8), _profiles())
+    left_out = _field(cells, shape, lambda s: float(s.left_out))
+    variables["left_out"] = (_DIMS, np.nan_to_num(left_out).astype(np.int16), _masks())
+    return variables
+
+
+def _field(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+    return _values(cells, shape, lambda cell, k: value(cells[cell][k]))
 
 
 def _centres(origin: float, step: float, n: int) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 Bounds = tuple[FiniteFloat, FiniteFloat]
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
 class RippleSettings(BaseModel):
@@ -38,6 +39,11 @@ class RippleSettings(BaseModel):
     speckle: Literal["measured", "independent"] = Field(
         "measured",
         description="measured: correlated and textured speckle counts as fewer pixels",
+    )
+    scatter: tuple[NotNegative, NotNegative, NotNegative] = Field(
+        (0.0001, 0.001, 0.02),
+        description="change and misregistration between passes, standard deviations: "
+        "of f and A_H as fractions, of the azimuth in degrees",
     )
     keep_model: bool = Field(False, description="write modelled_amplitude.tif")
     chains: Annotated[int, Field(ge=2, le=64)] = Field(
