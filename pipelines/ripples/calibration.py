@@ -14,16 +14,18 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from sasmap.ripples import Prior, RippleSettings, estimate
+from sasmap.ripples import Clip, Prior, RippleSettings, estimate
 from sasmap.ripples.posterior import Quality
 from sasmap.simulate import Scene, simulate_clip, straight_clip
 
+ARRAYS = ("amplitude", "x", "y", "ground_range", "altitude", "look_azimuth")
 LEVELS = (0.5, 0.9, 0.95)
 NAMES = ("f", "A_H", "azimuth")
 ROWS = {
@@ -118,7 +120,14 @@ def simulated(row: str, prior: Prior, azimuth: float, rng: np.random.Generator):
         lambert=row == "lambert",
         noise=noise,
     )
-    return clip, (frequency, height, azimuth)
+    return mirrored(clip, rng), (frequency, height, azimuth)
+
+
+def mirrored(clip: Clip, rng: np.random.Generator) -> Clip:
+    """Store rows and columns the other way round, or not: the same sea floor and look."""
+    steps = tuple(slice(None, None, int(s)) for s in rng.choice([-1, 1], 2))
+    fields = {name: np.asarray(getattr(clip, name))[steps].copy() for name in ARRAYS}
+    return replace(clip, **fields)
 
 
 def one(seed: int, row: str) -> Case:

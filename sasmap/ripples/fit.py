@@ -114,7 +114,8 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     -------
     Fit
     """
-    boxes = demodulate(task.image, wave)
+    # of the two vectors of a wave, the one that the sonar looks along
+    boxes = demodulate(task.image, wave if wave @ task.image.look >= 0 else -wave)
     boxes = rewaved(task.image, boxes, refined_wave(task.image, boxes, boxes.count > 0))
     return _with_residuals(task, *_with_profile(task, _best_phase(task, boxes)))
 

@@ -218,17 +218,26 @@ def _shadow(
     start = max(0.5 * pixel, float(view.ground_range.min()) - SIGHT_REACH)
     ranges = np.arange(start, float(view.ground_range.max()) + pixel, SIGHT_STEP * pixel)
     first = float(view.along.min())
-    rows = np.arange(first, float(view.along.max()) + pixel, pixel)
+    place = (view.along - first) / pixel
+    # looked at obliquely, pixels lie between lines of sight, which are then closer
+    apart = pixel if np.abs(place - np.rint(place)).max() < 1e-3 else 0.5 * pixel
+    rows = np.arange(first, float(view.along.max()) + pixel, apart)
     highest = np.empty((rows.size, ranges.size))
     for low in range(0, rows.size, 256):  # in stripes, to bound memory
         part = rows[low : low + 256]
         x, y = line.point(part[:, None], ranges)
         rise = (floor.elevation(floor.waves(x, y)) - line.altitude_at(part)[:, None]) / ranges
         highest[low : low + 256] = np.maximum.accumulate(rise, axis=1)
-    row = np.clip(np.rint((view.along - first) / pixel).astype(np.int64), 0, rows.size - 1)
-    before = np.ceil((view.ground_range - start) / (SIGHT_STEP * pixel) - 1e-6).astype(np.int64) - 1
+    place = np.clip((view.along - first) / apart, 0, rows.size - 1)
+    row = np.minimum(np.floor(place + 1e-3).astype(np.int64), max(rows.size - 2, 0))
+    share = np.maximum(place - row, 0)
+    # half a sight before the pixel or more: what is nearer is left to the second test
+    before = np.floor((view.ground_range - start) / (SIGHT_STEP * pixel) - 0.5 + 1e-6).astype(int)
     rise = (floor.elevation(waves) - view.altitude) / view.ground_range
-    hidden = (rise < highest[row, np.clip(before, 0, ranges.size - 1)]) & (before >= 0)
+    column = np.clip(before, 0, ranges.size - 1)
+    beside = highest[np.minimum(row + 1, rows.size - 1), column]
+    above = highest[row, column] + share * (beside - highest[row, column])
+    hidden = (rise < above) & (before >= 0)
     # between two sights: where the rise falls, a point just before hides this one
     nearer = np.maximum(view.ground_range - 0.02 * pixel, 1e-3 * pixel)
     x, y = line.point(view.along, nearer)

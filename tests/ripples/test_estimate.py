@@ -6,6 +6,7 @@ import xarray as xr
 
 from sasmap.ripples import Clip, Prior, RippleSettings, estimate
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.simulate import Scene, simulate_clip
 from tests.helpers import clip_of, zare_cobb_clip
 from tests.ripples.test_clip import turned
 
@@ -159,3 +160,25 @@ def test_ripples_survive_holes():
 def test_a_wave_too_long_for_the_clip_is_not_identifiable():
     clip = zare_cobb_clip(24.4, 28.4, 0.6, 0.07)  # 2.4 wavelengths
     assert estimate(clip, CREST, rng=1).quality is Quality.NOT_IDENTIFIABLE
+
+
+@pytest.mark.parametrize("heading", [20, 75, 130, 200, 250, 340])
+def test_ripples_are_found_from_any_direction_on_a_lattice_that_keeps_north_up(heading):
+    scene = Scene(
+        name="one",
+        origin=(500000, 3300000),
+        size=(12, 12),
+        pixel_size=0.06,
+        sediments=[{"name": "sand"}],
+        ripples=[{"frequency": 0.9, "height": 0.04, "azimuth": 50 + heading}],
+        passes=[
+            {"name": "a", "heading": heading, "distance": 30, "altitude": 6, "dtype": "float32"}
+        ],
+    )
+    made = simulate_clip(scene, np.random.default_rng(heading))
+    posterior = estimate(made.clip, rng=1)
+    assert posterior.quality is Quality.GOOD
+    for name, truth in (("frequency", 0.9), ("height", 0.04)):
+        assert abs(float(posterior.mean[name]) - truth) < 4 * float(posterior.sd[name])
+    off = (posterior.azimuth[0] - 50 - heading + 90) % 180 - 90
+    assert abs(off) < 4 * posterior.azimuth[1]
