@@ -41,7 +41,7 @@ class RippleSettings(BaseModel):
         description="measured: correlated and textured speckle counts as fewer pixels",
     )
     scatter: tuple[NotNegative, NotNegative, NotNegative] = Field(
-        (0.0001, 0.001, 0.02),
+        (0.00003, 0.0003, 0.005),
         description="change and misregistration between passes, standard deviations: "
         "of f and A_H as fractions, of the azimuth in degrees",
     )
