@@ -42,8 +42,9 @@ SIDES = 3
 # Log of the range over that where shadow sets in at which strips end: there its edges part fast.
 ONSET = (-0.03, -0.01, 0.0, 0.002, 0.006, 0.012, 0.03, 0.06, 0.12)
 ONSET_SEARCH = 400
-# Factors of the range between which a strip's shadow must not set in to be told for sure.
-NEARER, FARTHER = 0.994, 1.012
+# Factors of the range between which a strip's shadow must not set in to be told for sure, at first
+# and again and again; and those that tell how its edges move.
+NEARER, FARTHER, NEXT = (0.92, 0.97, 0.994), (1.08, 1.03, 1.012), (0.995, 1.005)
 # Pixels near the edges of straight crests' shadow are looked at one by one: these many. How near,
 # and how far from its place an edge may be seen at a pixel (standard deviation), in pixels, at
 # first and when a fold is made again and again. Floors are not quite even, and images know them by
@@ -208,7 +209,10 @@ def _bend(image: Image, reference: Reference | None, centre: FloatArray) -> _Ben
         return lit
     reach = image.mean_range + centre
     altitude = np.full(centre.size, image.mean_altitude)
-    near, here, far = (_edges(reference, reach * k, altitude) for k in (NEARER, 1.0, FARTHER))
+    stage = reference.data.fine
+    near, here, far, before, behind = (
+        _edges(reference, reach * k, altitude) for k in (NEARER[stage], 1.0, FARTHER[stage], *NEXT)
+    )
     falls = np.array([edges[:, 1] > edges[:, 0] for edges in (near, here, far)])
     some = np.asarray(falls.any(axis=0))
     unsure = np.asarray(some & ~falls.all(axis=0))
@@ -220,7 +224,7 @@ def _bend(image: Image, reference: Reference | None, centre: FloatArray) -> _Ben
     turn = 0.5 * (place[most].sum() + 1) % 1  # in the middle of what the darkest strip shows
     moved = (place - turn) % 1
     shadowed = (width > 0) & (moved[:, 1] > moved[:, 0]) & (moved[:, 0] > 0)
-    slope = (far - near) / ((FARTHER - NEARER) * reach[:, None])
+    slope = (behind - before) / ((NEXT[1] - NEXT[0]) * reach[:, None])
     slope[unsure] = 0.0
     bend[shadowed] = np.column_stack([moved, slope, unsure])[shadowed]
     return _Bend(2 * np.pi * (0.25 + turn), bend)

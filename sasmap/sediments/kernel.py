@@ -26,7 +26,9 @@ import numpy as np
 STEP_WIDTHS, LONGEST = 0.55, 0.22
 # Exponents below this count for nothing.
 DEEP = 40.0
-LARGE_NU = 30.0
+LARGE_NU, LARGE_Y = 30.0, 30.0
+# Log density that is nothing, and where integrals begin, over the root mean square.
+NOTHING, LEAST = -740.0, 1e-20
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -70,43 +72,142 @@ def _log_integral(alpha, beta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_density(x, log_i0e, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
-    """Log density at x > 0 with scale 1.
+def log_i0e(y):  # type: ignore[no-untyped-def]
+    """Log of exp(-y) I0(y), y >= 0: the power series, then the asymptotic one (DLMF 10.40.1)."""
+    total, term, k = 1.0, 1.0, 1
+    if y < LARGE_Y:
+        square = 0.25 * y * y
+        while term > 1e-18 * total:
+            term *= square / (k * k)
+            total += term
+            k += 1
+        return math.log(total) - y
+    while term > 1e-18 and k < 40:
+        term *= (2 * k - 1) ** 2 / (8.0 * y * k)
+        total += term
+        k += 1
+    return math.log(total) - 0.5 * math.log(2.0 * math.pi * y)
 
-    `log_i0e` is that of 2 kappa x, `normaliser` :func:`log_normaliser` of nu.
-    """
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_density(x, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
+    """Log density at x > 0 with scale 1; `normaliser` is :func:`log_normaliser` of nu."""
     total = nu + kappa * kappa
     root = math.hypot(nu - 1.0, 2.0 * math.sqrt(total) * x)
     # the positive root of total z^2 - (nu - 1) z = x^2, by the sum that does not cancel
-    z = 0.5 * (nu - 1.0 + root) / total if nu > 1.0 else 2.0 * x * (x / (root + 1.0 - nu))
-    alpha, beta = 0.5 * (root - (nu - 1.0)), 0.5 * (root + (nu - 1.0))
     if nu > 1.0:
-        alpha = x * (x / z)
+        z = 0.5 * (nu - 1.0 + root) / total
+        alpha, beta = x * (x / z), 0.5 * (root + (nu - 1.0))
     else:
-        beta = total * z
-    if z < 1e-280:
-        return -np.inf
+        z = 2.0 * x * (x / (root + (1.0 - nu)))
+        alpha, beta = 0.5 * (root + (1.0 - nu)), total * z
+    if z < 1e-290:
+        return _log_origin(x, nu, kappa, normaliser)
     log_z = math.log(z) if abs(z - 1.0) > 0.1 else math.log1p(z - 1.0)
     gamma = nu * _past(log_z) if abs(log_z) < 1.0 else nu * (z - 1.0 - log_z)
     drift = (x - kappa * z) * ((x - kappa * z) / z)
-    value = math.log(2.0 * x) + log_i0e + normaliser - drift - gamma - log_z
+    value = math.log(2.0 * x) + log_i0e(2.0 * kappa * x) + normaliser - drift - gamma - log_z
     return value + _log_integral(alpha, beta)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_densities(x, log_i0e, nu, kappa):  # type: ignore[no-untyped-def]
+def _log_origin(x, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
+    """Log density where x^2 underflows, nu < 1: 2 x^(2 nu - 1) Gamma(1 - nu) C(nu) exp(nu)."""
+    return math.log(2.0) + (2.0 * nu - 1.0) * math.log(x) + math.lgamma(1.0 - nu) + normaliser + nu
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_densities(x, nu, kappa):  # type: ignore[no-untyped-def]
     """Log densities at points (n,), all > 0, of one law of scale 1."""
     normaliser = log_normaliser(nu)
     result = np.empty(x.size)
     for i in range(x.size):
-        result[i] = log_density(x[i], log_i0e[i], nu, kappa, normaliser)
+        result[i] = log_density(x[i], nu, kappa, normaliser)
     return result
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_densities_each(x, log_i0e, nu, kappa):  # type: ignore[no-untyped-def]
+def log_densities_each(x, nu, kappa):  # type: ignore[no-untyped-def]
     """Log densities at points (n,), each of its own law."""
     result = np.empty(x.size)
     for i in range(x.size):
-        result[i] = log_density(x[i], log_i0e[i], nu[i], kappa[i], log_normaliser(nu[i]))
+        result[i] = log_density(x[i], nu[i], kappa[i], log_normaliser(nu[i]))
     return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _edge(inner, outer, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
+    """Between a point where the density counts and one where it does not: where it ceases to."""
+    for _ in range(200):
+        middle = math.sqrt(inner * outer)
+        if log_density(middle, nu, kappa, normaliser) > NOTHING:
+            inner = middle
+        else:
+            outer = middle
+        if abs(math.log(outer / inner)) < 1e-3:
+            break
+    return outer
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def reach(nu, kappa):  # type: ignore[no-untyped-def]
+    """Where the density of scale 1 begins and ends to be more than nothing."""
+    normaliser = log_normaliser(nu)
+    rms = math.sqrt(1.0 + kappa * kappa * (1.0 + 1.0 / nu))
+    best, middle = -np.inf, rms
+    for share in (1e-3, 0.03, 0.1, 0.3, 0.6, 0.8, 0.9, 0.97, 1.0, 1.1):
+        for centre in (rms, kappa):
+            if centre > 0.0:
+                level = log_density(share * centre, nu, kappa, normaliser)
+                if level > best:
+                    best, middle = level, share * centre
+    low, high = LEAST * rms, 1e6 * rms
+    if log_density(low, nu, kappa, normaliser) < NOTHING:
+        low = _edge(middle, low, nu, kappa, normaliser)
+    return low, _edge(middle, high, nu, kappa, normaliser)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def next_place(u, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
+    """How far beyond u the density is smooth enough for one Gauss-Legendre rule."""
+    step = 1e-6 * u
+    level = log_density(u, nu, kappa, normaliser)
+    slope = abs(log_density(u + step, nu, kappa, normaliser) - level) / step
+    feature = math.sqrt(u * u / max(nu, 1.0) + max(u, 1.0) / max(kappa, 1.0))
+    return u + min(0.5 * u, feature, 5.0 / max(slope, 1e-300))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def mass(low, high, nu, kappa, normaliser, nodes, weights):  # type: ignore[no-untyped-def]
+    """Integrate the density between two near points by a Gauss-Legendre rule."""
+    total, half = 0.0, 0.5 * (high - low)
+    for k in range(nodes.size):
+        total += weights[k] * math.exp(
+            log_density(low + half * (1.0 + nodes[k]), nu, kappa, normaliser)
+        )
+    return total * half
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def cumulate(nu, kappa, nodes, weights):  # type: ignore[no-untyped-def]
+    """Places, mass below and mass above each, of a law of scale 1: three arrays (n,)."""
+    normaliser = log_normaliser(nu)
+    low, high = reach(nu, kappa)
+    places = [low]
+    while places[-1] < high:
+        places.append(next_place(places[-1], nu, kappa, normaliser))
+    n = len(places)
+    place, below, above = np.empty(n), np.empty(n), np.empty(n)
+    part = np.empty(n)
+    for i in range(n):
+        place[i] = places[i]
+    # below the first the density is a power
+    head = log_density(low, nu, kappa, normaliser)
+    below[0] = math.exp(head) * low / min(2.0 * nu, 2.0) if head > NOTHING + 40.0 else 0.0
+    for i in range(n - 1):
+        part[i] = mass(place[i], place[i + 1], nu, kappa, normaliser, nodes, weights)
+        below[i + 1] = below[i] + part[i]
+    above[n - 1] = 0.0
+    for i in range(n - 2, -1, -1):
+        above[i] = above[i + 1] + part[i]
+    return place, below, above
