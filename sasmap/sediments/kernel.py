@@ -9,10 +9,11 @@ scatter z (SCIENCE 4; G 5), so with scale a = 1
 No term of the exponent is large where the density is not small, so nothing cancels, whatever nu,
 kappa and x are. With z = z0 exp(t) about its saddle z0 the integral is that of
 
-    exp(-alpha (exp(-t) - 1 + t) - beta (exp(t) - 1 - t)),     alpha = x^2 / z0, beta = (nu + kappa^2) z0
+    exp(-alpha (exp(-t) - 1 + t) - beta (exp(t) - 1 - t)),
 
-over the line (a modified Bessel function), which the trapezoidal rule gives to the last digits: its
-error falls exponentially with the number of points (Trefethen and Weideman 2014, SIAM Review 56).
+alpha = x^2 / z0, beta = (nu + kappa^2) z0, over the line (a modified Bessel function), which the
+trapezoidal rule gives to the last digits: its error falls exponentially with the number of points
+(Trefethen and Weideman 2014, SIAM Review 56).
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ import numba
 import numpy as np
 
 # Step of the trapezoidal rule: in widths of the peak, and at most.
-STEP_WIDTHS, LONGEST = 0.55, 0.22
+STEP_WIDTHS, LONGEST = 0.6, 0.25
 # Exponents below this count for nothing.
-DEEP = 40.0
+DEEP = 35.0
+# Curvature of the peak below which it is wide.
+WIDE = 300.0
 LARGE_NU, LARGE_Y = 30.0, 30.0
 # Log density that is nothing, and where integrals begin, over the root mean square.
 NOTHING, LEAST = -740.0, 1e-20
@@ -43,10 +46,12 @@ def log_normaliser(nu):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _past(t):  # type: ignore[no-untyped-def]
-    """exp(t) - 1 - t without cancellation."""
-    if abs(t) < 0.03:
-        return t * t * (0.5 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040)))))
-    return math.expm1(t) - t
+    """exp(t) - 1 - t without cancellation, by its series for |t| < 0.3."""
+    if abs(t) > 0.3:
+        return math.expm1(t) - t
+    tail = 1.0 + t / 9.0 * (1.0 + t / 10.0 * (1.0 + t / 11.0 * (1.0 + t / 12.0)))
+    tail = 1.0 + t / 6.0 * (1.0 + t / 7.0 * (1.0 + t / 8.0 * tail))
+    return 0.5 * t * t * (1.0 + t / 3.0 * (1.0 + t / 4.0 * (1.0 + t / 5.0 * tail)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -63,11 +68,30 @@ def _side(alpha, beta, step):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _wide_side(alpha, beta, step):  # type: ignore[no-untyped-def]
+    """Compute the same where the peak is wide: powers of exp(step) do not cancel there."""
+    total, t = 0.0, 0.0
+    up, down = math.exp(step), math.exp(-step)
+    rise, decline = 1.0, 1.0
+    while True:
+        t += step
+        rise *= up
+        decline *= down
+        fall = alpha * (decline - 1.0 + t) + beta * (rise - 1.0 - t)
+        if fall > DEEP:
+            return total
+        total += math.exp(-fall)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _log_integral(alpha, beta):  # type: ignore[no-untyped-def]
     """Log of the integral over t."""
-    width = 1.0 / math.sqrt(alpha + beta)
-    step = min(STEP_WIDTHS * width, LONGEST)
-    total = 1.0 + _side(alpha, beta, step) + _side(beta, alpha, step)
+    both = alpha + beta
+    step = min(STEP_WIDTHS / math.sqrt(both), LONGEST)
+    if both < WIDE:
+        total = 1.0 + _wide_side(alpha, beta, step) + _wide_side(beta, alpha, step)
+    else:
+        total = 1.0 + _side(alpha, beta, step) + _side(beta, alpha, step)
     return math.log(total * step)
 
 

@@ -1,0 +1,641 @@
+"""Fits of amplitude laws: maximum likelihood, moments, log-moments, histogram least squares.
+
+Maximum likelihood takes raw or weighted samples (gathered in narrow bins of log amplitude, each at
+its own mean) or histograms, whose bins are integrated over: a density at bin centres is not what an
+8-bit image holds (SCIENCE 4 "Fitting").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.optimize import least_squares
+
+from sasmap.sediments import likelihood as ml
+from sasmap.sediments.distributions import Table, even_moment, generalized_k, k_distribution
+from sasmap.sediments.kernel import log_densities
+
+FloatArray = NDArray[np.float64]
+Family = Literal["rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k"]
+
+FAMILIES: tuple[Family, ...] = ("rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k")
+# Free coordinates (log shape, log(1 + kappa^2), log mean square) of each.
+FREE = {
+    "rayleigh": (False, False, True),
+    "k": (True, False, True),
+    "rice": (False, True, True),
+    "weibull": (True, False, True),
+    "lognormal": (True, False, True),
+    "generalized_k": (True, True, True),
+}
+# Width of the bins of log amplitude that samples are gathered in.
+BIN = 0.05
+# Log amplitude over the root mean square below which they are so much wider, and the lowest.
+TAIL, WIDER, LOWEST = -2.5, 5.0, -40.0
+# Samples that are no more than this share of the root mean square count as this.
+LEAST = 1e-9
+# Points of the Gauss-Legendre rule within a bin of a histogram.
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
+# Expected samples of a bin from which it enters the test of fit; a law is rejected below this
+# probability.
+FEW, REJECTED = 8.0, 0.01
+# Nats by which a law of one more parameter must at least be better.
+WORTH = 2.0
+FIRST_ROUNDS = 6
+
+
+class Bins(NamedTuple):
+    """Samples, gathered: points (of no width) and bins.
+
+    Attributes
+    ----------
+    low, high : ndarray (n,)
+        Edges; equal for points, infinite where censored.
+    centre : ndarray (n,)
+    samples : ndarray (n,)
+        How many, or their weight.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    centre: FloatArray
+    samples: FloatArray
+
+
+@dataclass(frozen=True)
+class Law:
+    """A fitted amplitude law.
+
+    Attributes
+    ----------
+    family : str
+    shape : float
+        nu of K and generalised K, c of Weibull, s of the lognormal; NaN of Rayleigh and Rice.
+    kappa : float
+        delta / a of Rice and generalised K; 0 of others.
+    scale : float
+        a, or the scale of scipy's Weibull and lognormal.
+    errors : tuple of float
+        Standard errors of log shape, log(1 + kappa^2) and log mean square; NaN where not free or at
+        a bound.
+    mean_square : float
+    log_likelihood : float
+        Of all samples.
+    samples : float
+        Effective number of samples.
+    divergence : float
+        Mean log likelihood, nats a sample, that the histogram itself has beyond the law.
+    p_value : float
+        Of so large a divergence by chance.
+    """
+
+    family: Family
+    shape: float
+    kappa: float
+    scale: float
+    errors: tuple[float, float, float]
+    mean_square: float
+    log_likelihood: float
+    samples: float
+    divergence: float
+    p_value: float
+
+    @property
+    def nu(self) -> float:
+        """Texture's shape: infinite of Rayleigh and Rice."""
+        return self.shape if self.family in ("k", "generalized_k") else float("inf")
+
+    @property
+    def frozen(self) -> stats.rv_continuous:
+        """The law as a frozen distribution of scipy.stats."""
+        root = np.sqrt(0.5)
+        made = {
+            "rayleigh": lambda: stats.rayleigh(scale=root * self.scale),
+            "k": lambda: k_distribution(self.shape, scale=self.scale),
+            "rice": lambda: stats.rice(self.kappa / root, scale=root * self.scale),
+            "weibull": lambda: stats.weibull_min(self.shape, scale=self.scale),
+            "lognormal": lambda: stats.lognorm(self.shape, scale=self.scale),
+            "generalized_k": lambda: generalized_k(self.shape, self.kappa, scale=self.scale),
+        }
+        return made[self.family]()
+
+    def log_density(self, x: ArrayLike) -> FloatArray:
+        """Log density at amplitudes above 0, fast.
+
+        Parameters
+        ----------
+        x : array_like
+
+        Returns
+        -------
+        ndarray
+        """
+        x = np.asarray(x, float)
+        u = _coordinates(self)
+        flat = np.maximum(x.ravel(), LEAST * np.sqrt(self.mean_square))
+        result = np.empty(flat.size)
+        ml.fill(FAMILIES.index(self.family), u, flat, flat, flat, NODES, WEIGHTS, result)
+        return result.reshape(x.shape)
+
+
+def _coordinates(law: Law) -> FloatArray:
+    shape = np.log(law.shape) if np.isfinite(law.shape) else 0.0
+    return np.array([shape, np.log1p(law.kappa**2), np.log(law.mean_square)])
+
+
+def _places(x: FloatArray) -> FloatArray:
+    """Bin numbers (whole at edges) of amplitudes over the root mean square.
+
+    In the low tail, where laws are powers, bins are wider.
+    """
+    y = np.log(x)
+    return np.floor((np.where(y > TAIL, y, TAIL + (y - TAIL) / WIDER) - LOWEST) / BIN)
+
+
+def gathered(data: ArrayLike, weights: ArrayLike | None = None) -> Bins:
+    """Gather samples in narrow bins of log amplitude, each at the mean of its samples.
+
+    Parameters
+    ----------
+    data : array_like
+        Amplitudes; NaN are left out.
+    weights : array_like, optional
+        Of the same shape.
+
+    Returns
+    -------
+    Bins
+
+    Raises
+    ------
+    ValueError
+        Where nothing is left, or an amplitude is negative, infinite or all are 0.
+    """
+    x = np.asarray(data, float).ravel()
+    known = ~np.isnan(x)
+    x = x[known]
+    w = np.ones(x.size) if weights is None else np.asarray(weights, float).ravel()[known]
+    if x.size == 0 or not w.sum() > 0:
+        raise ValueError("expected at least one amplitude")
+    if x.min() < 0 or not np.isfinite(x.max()):
+        raise ValueError("expected finite amplitudes of at least 0")
+    largest = float(x.max())
+    if largest == 0:
+        raise ValueError("expected an amplitude above 0")
+    rms = largest * float(np.sqrt(np.average((x / largest) ** 2, weights=w)))
+    x = np.maximum(x, LEAST * rms)
+    index = (_places(x / rms) - _places(x.min() / rms)).astype(np.int64)
+    count = np.bincount(index, w).astype(np.float64)
+    filled = count > 0
+    # the geometric mean: laws are smooth in log amplitude
+    centre = np.exp(np.bincount(index, w * np.log(x))[filled] / count[filled])
+    return Bins(centre, centre, centre, count[filled])
+
+
+def histogram(edges: ArrayLike, counts: ArrayLike) -> Bins:
+    """Take a histogram as it is.
+
+    Parameters
+    ----------
+    edges : array_like (n + 1,)
+        Rising, the first at least 0, the last infinite where the last bin holds all above.
+    counts : array_like (n,)
+
+    Returns
+    -------
+    Bins
+
+    Raises
+    ------
+    ValueError
+        Where edges do not rise from 0 or more, or counts do not match them or are negative.
+    """
+    edge, count = np.asarray(edges, float), np.asarray(counts, float)
+    if edge.ndim != 1 or count.shape != (edge.size - 1,):
+        raise ValueError("expected n + 1 edges for n counts")
+    if edge[0] < 0 or not (np.diff(edge) > 0).all():
+        raise ValueError("expected edges that rise from 0 or more")
+    if (count < 0).any() or not count.sum() > 0:
+        raise ValueError("expected counts of at least 0, and one above")
+    used = count > 0
+    finite = np.where(np.isinf(edge[1:]), 1.5 * edge[:-1], edge[1:])
+    return Bins(edge[:-1][used], edge[1:][used], 0.5 * (edge[:-1] + finite)[used], count[used])
+
+
+def grey_histogram(values: ArrayLike, saturated: int | None = 255) -> Bins:
+    """Histogram of rounded grey values; 0 is below one half, the largest and all above are one.
+
+    Parameters
+    ----------
+    values : array_like of int
+    saturated : int or None
+        Value that stands for all above it; None where none does.
+
+    Returns
+    -------
+    Bins
+    """
+    counts = np.bincount(np.asarray(values).ravel().astype(np.int64)).astype(float)
+    edges = np.concatenate([[0.0], np.arange(counts.size) + 0.5])
+    if saturated is not None and counts.size == saturated + 1:
+        edges[-1] = np.inf
+    return histogram(edges, counts)
+
+
+def fit(
+    data: ArrayLike | Bins,
+    family: Family = "generalized_k",
+    *,
+    weights: ArrayLike | None = None,
+    samples: float | None = None,
+) -> Law:
+    """Fit a law by maximum likelihood.
+
+    Parameters
+    ----------
+    data : array_like or Bins
+        Amplitudes, or what :func:`histogram` or :func:`grey_histogram` made of them.
+    family : str
+    weights : array_like, optional
+    samples : float, optional
+        Effective number of samples (:func:`effective_samples`), by which errors are larger than
+        those of independent ones; default all.
+
+    Returns
+    -------
+    Law
+
+    Raises
+    ------
+    ValueError
+        Where data are not amplitudes (see :func:`gathered`) or the family is not known.
+    """
+    if family not in FAMILIES:
+        raise ValueError(f"family: expected one of {', '.join(FAMILIES)}, got {family!r}")
+    bins = data if isinstance(data, Bins) else gathered(data, weights)
+    total = float(bins.samples.sum())
+    kind, free = FAMILIES.index(family), np.array(FREE[family])
+    packed = (bins.low, bins.high, bins.centre, bins.samples, NODES, WEIGHTS)
+    begun = [ml.climb(kind, s, free, packed, FIRST_ROUNDS) for s in _starts(bins, family)]
+    best = max(begun, key=lambda b: b[1])
+    u, level, information = ml.climb(kind, best[0], free, packed, ml.ROUNDS)
+    share = (samples or total) / total
+    divergence, p_value = _divergence(kind, u, bins, share, int(free.sum()))
+    scale = float(np.exp(ml.scale_of(kind, u)))
+    return Law(
+        family,
+        float(np.exp(u[0])) if free[0] else float("nan"),
+        float(np.sqrt(np.expm1(u[1]))) if free[1] else 0.0,
+        scale,
+        _errors(u, free, information * share),
+        float(np.exp(u[2])),
+        float(level),
+        share * total,
+        divergence,
+        p_value,
+    )
+
+
+def _starts(bins: Bins, family: Family) -> list[FloatArray]:
+    """Where climbs begin: by moments, and for generalised K at both ends of its ridge."""
+    share = bins.samples / bins.samples.sum()
+    square = float(share @ bins.centre**2)
+    ratio = float(share @ bins.centre**4) / square**2
+    logs = np.log(np.maximum(bins.centre, 1e-9 * np.sqrt(square)))
+    spread = float(np.sqrt(share @ (logs - share @ logs) ** 2))
+    power = np.log(square)
+    nu = np.log(np.clip(2 / max(ratio - 2, 1e-3), 0.05, 1e3))
+    if family == "weibull":
+        return [np.array([np.log(1.28 / max(spread, 1e-3)), 0.0, power])]
+    if family == "lognormal":
+        return [np.array([np.log(max(spread, 1e-3)), 0.0, power])]
+    # of a Rice law E[x^4] / E[x^2]^2 = 2 - (kappa^2 / (1 + kappa^2))^2
+    steady = np.sqrt(np.clip(2 - ratio, 0.0, 0.999))
+    rice = -np.log1p(-steady)
+    if family in ("rayleigh", "k", "rice"):
+        return [np.array([nu, max(rice, 0.1), power])]
+    heavy = np.array([max(nu, np.log(0.2)), 0.05, power])
+    return [heavy, np.array([np.log(3.0), max(rice, 0.7), power])]
+
+
+def _errors(
+    u: FloatArray, free: NDArray[np.bool_], information: FloatArray
+) -> tuple[float, float, float]:
+    inside = free & (u > ml.LOWER + 1e-9) & (u < ml.UPPER - 1e-9)
+    result = np.full(3, np.nan)
+    if inside.any():
+        part = information[np.ix_(inside, inside)]
+        variance = np.diag(np.linalg.pinv(part))
+        result[inside] = np.sqrt(np.maximum(variance, 0))
+    return float(result[0]), float(result[1]), float(result[2])
+
+
+def _divergence(
+    kind: int, u: FloatArray, bins: Bins, share: float, parameters: int
+) -> tuple[float, float]:
+    """Deviance of a histogram a sample, in nats, and its p-value (chi-squared)."""
+    if (bins.high > bins.low).all():
+        low, high, count = bins.low, bins.high, bins.samples
+    else:  # points: bins of even shares of the samples
+        edges = _even_edges(bins)
+        low, high = edges[:-1], edges[1:]
+        count = np.histogram(bins.centre, edges, weights=bins.samples)[0]
+    value = np.empty(low.size)
+    ml.fill(kind, u, low, high, low, NODES16, WEIGHTS16, value)
+    total = count.sum()
+    expected = np.exp(value) * total
+    expected *= total / max(expected.sum(), 1e-300) if expected.sum() > 0.5 * total else 1.0
+    enough = (expected * share > FEW) & (count > 0)
+    if enough.sum() <= parameters + 1:
+        return 0.0, 1.0
+    c, e = count[enough], expected[enough]
+    deviance = float((c * np.log(c / e) - c + e).sum())
+    freedom = int(enough.sum()) - 1 - parameters
+    return max(deviance / total, 0.0), float(stats.chi2.sf(2 * share * deviance, freedom))
+
+
+NODES16, WEIGHTS16 = np.polynomial.legendre.leggauss(16)
+TESTED_BINS = 24
+
+
+def _even_edges(bins: Bins) -> FloatArray:
+    """Edges between points, from 0 to infinity, with nearly even shares of them."""
+    below = np.cumsum(bins.samples) / bins.samples.sum()
+    cut = np.unique(np.searchsorted(below, np.arange(1, TESTED_BINS) / TESTED_BINS))
+    cut = cut[cut < bins.centre.size - 1]
+    # samples were gathered on a lattice of log amplitude: its lines, not the means, are the edges
+    rms = np.sqrt(bins.samples @ bins.centre**2 / bins.samples.sum())
+    y = (_places(bins.centre[cut] / rms) + 1) * BIN + LOWEST
+    y = np.where(y > TAIL, y, TAIL + (y - TAIL) * WIDER)
+    return np.unique(np.concatenate([[0.0], rms * np.exp(y), [np.inf]]))
+
+
+def fit_generalized_k(data: ArrayLike | Bins) -> Law:
+    """Fit the generalised K law by maximum likelihood; see :func:`fit`."""
+    return fit(data, "generalized_k")
+
+
+def fit_k(data: ArrayLike | Bins) -> Law:
+    """Fit the K law by maximum likelihood; see :func:`fit`."""
+    return fit(data, "k")
+
+
+class Choice(NamedTuple):
+    """A law that the data do not reject, and all that were tried.
+
+    Attributes
+    ----------
+    law : Law
+    tried : tuple of Law
+        In the order tried; no more than were needed.
+    """
+
+    law: Law
+    tried: tuple[Law, ...]
+
+
+def choose(
+    data: ArrayLike | Bins,
+    *,
+    weights: ArrayLike | None = None,
+    samples: float | None = None,
+) -> Choice:
+    """Fit the simplest law that the data do not reject: Rayleigh, one of two parameters, GK.
+
+    Parameters
+    ----------
+    data : array_like or Bins
+    weights : array_like, optional
+    samples : float, optional
+        Effective number of samples.
+
+    Returns
+    -------
+    Choice
+        Where all are rejected, the one with the best information criterion (Schwarz).
+
+    Raises
+    ------
+    ValueError
+        See :func:`gathered`.
+    """
+    bins = data if isinstance(data, Bins) else gathered(data, weights)
+    tried: list[Law] = []
+    for group in (FAMILIES[:1], FAMILIES[1:5], FAMILIES[5:]):
+        laws = [fit(bins, family, samples=samples) for family in group]
+        tried += laws
+        best = _first_best(laws)
+        if best.p_value > REJECTED:
+            return Choice(best, tuple(tried))
+    return Choice(max(tried, key=_criterion), tuple(tried))
+
+
+def _first_best(laws: Sequence[Law]) -> Law:
+    """Return the earliest that is as good as the best, nearly."""
+    share = laws[0].samples
+    top = max(law.log_likelihood for law in laws)
+    total = max(law.samples for law in laws)
+    return next(law for law in laws if (top - law.log_likelihood) * min(share / total, 1) < WORTH)
+
+
+def _criterion(law: Law) -> float:
+    parameters = sum(FREE[law.family])
+    return law.log_likelihood - 0.5 * parameters * float(np.log(max(law.samples, 2.0)))
+
+
+def effective_samples(amplitude: ArrayLike) -> float:
+    """Independent samples that an image of correlated speckle is worth.
+
+    Parameters
+    ----------
+    amplitude : array_like (rows, columns)
+        NaN where there is none.
+
+    Returns
+    -------
+    float
+        Pixels over the sum of the intensity's autocorrelation, as far as that stands out of chance.
+    """
+    image = np.asarray(amplitude, float)
+    known = np.isfinite(image)
+    power = np.where(known, image, 0.0) ** 2
+    count = float(known.sum())
+    if count < 4 or not power.max() > 0:
+        return count
+    flat = np.where(known, power - power.sum() / count, 0.0)
+    shape = [next_fast_len(2 * n) for n in image.shape]
+    product = irfft2(np.abs(rfft2(flat, shape)) ** 2, shape)
+    pairs = irfft2(np.abs(rfft2(known.astype(float), shape)) ** 2, shape)
+    reach = max(min(min(image.shape) // 4, 16), 1)
+    rows, columns = np.arange(-reach, reach + 1), np.arange(-reach, reach + 1)
+    near = np.ix_(rows % shape[0], columns % shape[1])
+    correlation = product[near] / np.maximum(pairs[near], 1.0) / max(product[0, 0] / count, 1e-300)
+    chance = 3 / np.sqrt(np.maximum(pairs[near], 1.0))
+    total = float(correlation[correlation > chance].sum())
+    return count / max(total, 1.0)
+
+
+def fit_moments(data: ArrayLike) -> Law:
+    """Fit the generalised K law by its even moments 2, 4 and 6 (G 3.4).
+
+    Parameters
+    ----------
+    data : array_like
+
+    Returns
+    -------
+    Law
+        Without errors or test of fit.
+    """
+    bins = data if isinstance(data, Bins) else gathered(data)
+    share = bins.samples / bins.samples.sum()
+    square = float(share @ bins.centre**2)
+    wanted = np.log([share @ bins.centre**4 / square**2, share @ bins.centre**6 / square**3])
+
+    def short(u: FloatArray) -> FloatArray:
+        nu, kappa = np.exp(u[0]), np.sqrt(np.expm1(u[1]))
+        two, four, six = (float(even_moment(m, nu, kappa)) for m in (1, 2, 3))
+        return np.asarray(np.log([four / two**2, six / two**3]) - wanted)
+
+    return _by_shape(bins, short, square)
+
+
+def fit_log_moments(data: ArrayLike) -> Law:
+    """Fit the generalised K law by the mean square and the variance and skew of log amplitude.
+
+    Parameters
+    ----------
+    data : array_like
+
+    Returns
+    -------
+    Law
+        Without errors or test of fit.
+    """
+    bins = data if isinstance(data, Bins) else gathered(data)
+    share = bins.samples / bins.samples.sum()
+    square = float(share @ bins.centre**2)
+    logs = np.log(bins.centre) - share @ np.log(bins.centre)
+    wanted = np.array([share @ logs**2, share @ logs**3])
+
+    def short(u: FloatArray) -> FloatArray:
+        law = Table(float(np.exp(u[0])), float(np.sqrt(np.expm1(u[1]))))
+        found = _log_cumulants(law)
+        return np.asarray((found - wanted) / np.array([wanted[0], wanted[0] ** 1.5]))
+
+    return _by_shape(bins, short, square)
+
+
+def _log_cumulants(law: Table) -> FloatArray:
+    low, high = law.place[:-1, None], law.place[1:, None]
+    x = low + 0.5 * (high - low) * (1 + NODES16)
+    weight = 0.5 * (high - low) * WEIGHTS16
+    weight = weight * np.exp(log_densities(x.ravel(), law.nu, law.kappa)).reshape(x.shape)
+    logs = np.log(x)
+    mean = (weight * logs).sum()
+    return np.array([(weight * (logs - mean) ** k).sum() for k in (2, 3)])
+
+
+def _by_shape(bins: Bins, short: object, square: float) -> Law:
+    found = [
+        least_squares(short, start, bounds=([np.log(0.02), 0.0], [np.log(1e5), np.log1p(1e6)]))
+        for start in ([0.5, 0.1], [1.5, 1.0])
+    ]
+    u = min(found, key=lambda f: f.cost).x
+    nu, kappa = float(np.exp(u[0])), float(np.sqrt(np.expm1(u[1])))
+    return _law_of(bins, nu, kappa, square)
+
+
+def _law_of(bins: Bins, nu: float, kappa: float, square: float) -> Law:
+    """Return a generalised K law that was not fitted by likelihood."""
+    scale = np.sqrt(square / (1 + kappa**2 * (1 + 1 / nu)))
+    total = float(bins.samples.sum())
+    nothing = (float("nan"),) * 3
+    law = Law("generalized_k", nu, kappa, float(scale), nothing, square, 0.0, total, np.nan, np.nan)
+    level = float(bins.samples @ law.log_density(bins.centre))
+    divergence, p_value = _divergence(5, _coordinates(law), bins, 1.0, 3)
+    return Law("generalized_k", nu, kappa, float(scale), nothing, square, level, total,
+               divergence, p_value)  # fmt: skip
+
+
+class HistogramFit(NamedTuple):
+    """A law fitted to a histogram by least squares, as G does.
+
+    Attributes
+    ----------
+    family : str
+    parameters : ndarray
+        Shapes, then the scale.
+    offset : float
+        DC offset of the amplitudes.
+    misfit : float
+        Mean square difference of the densities.
+    """
+
+    family: Family
+    parameters: FloatArray
+    offset: float
+    misfit: float
+
+
+def fit_histogram(
+    edges: ArrayLike, density: ArrayLike, family: Family, offset: bool = False
+) -> HistogramFit:
+    """Fit a law to a normalised histogram by least squares (G 3.4).
+
+    Parameters
+    ----------
+    edges : array_like (n + 1,)
+    density : array_like (n,)
+        Share of samples over the width of each bin.
+    family : str
+    offset : bool
+        Whether amplitudes may have a constant added (G's DC offset).
+
+    Returns
+    -------
+    HistogramFit
+    """
+    edge, wanted = np.asarray(edges, float), np.asarray(density, float)
+    width = np.diff(edge)
+    bins = histogram(edge, np.maximum(wanted * width, 0.0))
+    kind, free = FAMILIES.index(family), FREE[family]
+    index = [i for i in range(3) if free[i]]
+
+    def densities(v: FloatArray) -> FloatArray:
+        u = np.array([0.5, 0.2, 0.0])
+        u[index] = v[: len(index)]
+        moved = np.maximum(edge - (v[-1] if offset else 0.0), 0.0)
+        value = np.full(width.size, -np.inf)
+        some = np.diff(moved) > 0
+        part = np.empty(int(some.sum()))
+        low, high = moved[:-1][some], moved[1:][some]
+        ml.fill(kind, u, low, high, low, NODES, WEIGHTS, part)
+        value[some] = part
+        return np.asarray(np.exp(value) / width)
+
+    best = None
+    for start in _starts(bins, family):
+        first = np.append(start[index], [0.0] if offset else [])
+        lower = np.append(ml.LOWER[index], [-edge[-1]] if offset else [])
+        upper = np.append(ml.UPPER[index], [edge[-1]] if offset else [])
+        found = least_squares(
+            lambda v: densities(v) - wanted, first, bounds=(lower, upper), x_scale=0.1
+        )
+        best = found if best is None or found.cost < best.cost else best
+    assert best is not None
+    u = np.array([0.5, 0.2, 0.0])
+    u[index] = best.x[: len(index)]
+    shapes = [np.exp(u[0])] * free[0] + [np.sqrt(np.expm1(u[1]))] * free[1]
+    return HistogramFit(
+        family,
+        np.array([*shapes, np.exp(ml.scale_of(kind, u))]),
+        float(best.x[-1]) if offset else 0.0,
+        float(np.mean(best.fun**2)),
+    )
