@@ -321,7 +321,9 @@ def _starts(bins: Bins, family: Family) -> list[FloatArray]:
     if family in ("rayleigh", "k", "rice"):
         return [np.array([nu, max(rice, 0.1), power])]
     heavy = np.array([max(nu, np.log(0.2)), 0.05, power])
-    return [heavy, np.array([np.log(3.0), max(rice, 0.7), power])]
+    # between them the likelihood has saddles, at K laws that look alike
+    middle = np.array([min(nu, np.log(8.0)), 0.7, power])
+    return [heavy, middle, np.array([np.log(3.0), max(rice, 0.7), power])]
 
 
 def _errors(
