@@ -83,10 +83,8 @@ def region(task: tuple[tuple[int, int], float, int]) -> str:
         got = generalized_k.logpdf(x, nu, kappa)
         middle = time.perf_counter()
         other = naive(x, nu, kappa)
-        seconds, seconds_naive = (
-            seconds + middle - start,
-            seconds_naive + time.perf_counter() - middle,
-        )
+        seconds += middle - start
+        seconds_naive += time.perf_counter() - middle
         exact = np.array([reference(v, nu, kappa) for v in x])
         size = np.maximum(np.abs(exact), 1)
         worst = max(worst, float((np.abs(got - exact) / size).max()))
@@ -126,7 +124,8 @@ def bound(nu: float, kappa: float) -> np.ndarray:
         return np.asarray(generalized_k.logpdf(sample, n, k, scale=scale))
 
     free = [0, 2] if kappa == 0 else [0, 1, 2]
-    scores = np.array([(level(point + 1e-4 * np.eye(3)[i]) - level(point - 1e-4 * np.eye(3)[i])) / 2e-4 for i in free])  # fmt: skip
+    step = 1e-4 * np.eye(3)
+    scores = np.array([(level(point + step[i]) - level(point - step[i])) / 2e-4 for i in free])
     variance = np.full(3, np.nan)
     variance[free] = np.diag(np.linalg.inv(scores @ scores.T / sample.size))
     return variance
@@ -164,10 +163,9 @@ def against_scipy() -> None:
     end = time.perf_counter()
     ours = law.log_density(sample).sum()
     theirs = generalized_k.logpdf(sample, *generic).sum()
-    print(
-        f"\nscipy's generic fit of 4096 samples takes {(end - middle) / (middle - start):.0f} times "
-        f"as long; log likelihood beyond its: {ours - theirs:+.3f} nats"
-    )
+    times = (end - middle) / (middle - start)
+    print(f"\nscipy's generic fit of 4096 samples takes {times:.0f} times as long; ", end="")
+    print(f"log likelihood beyond its: {ours - theirs:+.3f} nats")
 
 
 def textures(size: int = 200) -> dict[str, np.ndarray]:
@@ -200,7 +198,8 @@ def recorded(folder: Path) -> dict[str, np.ndarray]:
 
 def table_one(samples: dict[str, np.ndarray]) -> None:
     """Print mean square differences of densities, over that of the best law."""
-    print(f"\n{'mean square difference of densities (x rms^2)':46s}" + "".join(f"{f:>15s}" for f in FAMILIES))  # fmt: skip
+    head = "mean square difference of densities (x rms^2)"
+    print(f"\n{head:46s}" + "".join(f"{f:>15s}" for f in FAMILIES))
     for name, sample in samples.items():
         rms = np.sqrt(np.mean(sample**2))
         density, edges = np.histogram(sample / rms, np.linspace(0, 4, 81), density=True)

@@ -125,7 +125,7 @@ def fold_plan(
     place = start + step * (np.arange(CELLS) + 0.5)
     centre = np.bincount(strip, place) / np.bincount(strip)
     zero, bend = _bend(image, reference, centre)
-    zone, _ = _nearness(reference, image.pixel_size * float(np.hypot(*wave)))
+    zone, _ = _nearness(image, reference, wave)
     near = 4 * zone * np.mean(bend[strip, 1] > 0) * image.valid.sum()
     return (
         FoldPlan(
@@ -151,14 +151,12 @@ def fold_plan(
     )
 
 
-def _nearness(reference: Reference | None, pixel: float) -> tuple[float, float]:
-    """Return what is near an edge of shadow, and how far from its place it may be seen, cycles.
-
-    For pixels of so many wavelengths.
-    """
+def _nearness(image: Image, reference: Reference | None, wave: FloatArray) -> tuple[float, float]:
+    """Return what is near an edge of shadow, and how far from its place it may be seen, cycles."""
     stage = 0 if reference is None else reference.data.fine
-    zone = min(ZONES[stage] * pixel, MAX_ZONES[stage])
-    return zone, min(EDGE_SDS[stage] * pixel, 0.4 * zone)
+    pixel = image.pixel_size * float(np.hypot(*wave))
+    zone = min((ZONES[stage] + 2 * image.jitter) * pixel, MAX_ZONES[stage])
+    return zone, min(float(np.hypot(EDGE_SDS[stage], image.jitter)) * pixel, 0.4 * zone)
 
 
 def _strips(
@@ -284,7 +282,8 @@ def fold(
         f, _, azimuth, shift = reference.theta[:4]
         turn = azimuth - reference.data.look
         base = np.array([shift, f * np.cos(turn), f * np.sin(turn)])
-    slip = np.array([0.0, 1 / SLIP_SD**2]), np.array([-3.0, 3.0]) * SLIP_SD
+    known = float(np.hypot(SLIP_SD, image.jitter))
+    slip = np.array([0.0, 1 / known**2]), np.array([-3.0, 3.0]) * known
     error = np.array([np.log(phase.blur), 1 / phase.blur_sd**2])
     bounds = np.log(COARSE_BLURS if phase.rigid else FIELD_BLURS)
     blur, blur_bounds = (error, bounds) if reference is None else slip
@@ -299,7 +298,7 @@ def fold(
         dark=dark,
         edges=edges,
         edge_start=np.searchsorted(edges[:, EDGE_BLOCK], np.arange(len(dark) + 1)),
-        edge_sd=_nearness(reference, image.pixel_size * float(np.hypot(*wave)))[1],
+        edge_sd=_nearness(image, reference, wave)[1],
         along=blocks.along,
         across=blocks.across,
         reach=blocks.reach,

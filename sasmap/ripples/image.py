@@ -18,6 +18,9 @@ MAX_BEND = 0.3
 # More than this share of pixels at the largest value: the receiver or the file saturated.
 MIN_SATURATED = 1e-4
 LATTICE_SAMPLES = 4000
+# Pixels that were brought to the nearest place of a lattice lie this far from it (standard
+# deviation of a uniform law, pixels).
+ROUNDED = 0.29
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Image:
         Mean look, degrees clockwise from grid north.
     rms : float
         Root of what `power` was divided by, in units of the amplitude.
+    jitter : float
+        How far pixels lie from the lattice, pixels (standard deviation).
     """
 
     power: FloatArray
@@ -50,6 +55,7 @@ class Image:
     steps: FloatArray
     azimuth: float
     rms: float
+    jitter: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -141,9 +147,10 @@ def as_image(clip: Clip) -> Image:
     saturated = _saturated(clip.amplitude, valid)
     azimuth = mean_look(clip)
     steps, first = lattice(clip)
-    straight = _bend(clip, valid, steps, first) <= MAX_BEND * clip.pixel_size
-    if straight and abs(np.linalg.det(steps)) > 0:
-        return Image(wide, valid, saturated, clip.ground_range, clip.altitude, steps, azimuth, mean)
+    bend = _bend(clip, valid, steps, first) / clip.pixel_size
+    if bend <= MAX_BEND and abs(np.linalg.det(steps)) > 0:
+        places = clip.ground_range, clip.altitude, steps
+        return Image(wide, valid, saturated, *places, azimuth, mean, 0.5 * bend)
     return _summed(clip, wide, valid, saturated, azimuth, mean)
 
 
@@ -219,4 +226,5 @@ def _summed(
         np.array([[size, 0.0], [0.0, -size]]),
         azimuth,
         mean,
+        ROUNDED,
     )

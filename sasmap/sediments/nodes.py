@@ -89,7 +89,8 @@ def refine_boundary(
         rounds += 1
         score = _scores(nodes, image, places, closed)
         width = _best_width(score)
-        moves = _best_path(score, width, closed)
+        # where nothing tells, nodes stay
+        moves = _best_path(score - 1e-3 * (places / reach) ** 2, width, closed)
         shift = gaussian_filter1d(places[moves], 0.7, mode="wrap" if closed else "nearest")
         nodes = nodes + shift[:, None] * normals(nodes, closed)
         nodes = resampled(nodes, spacing, closed)
@@ -202,10 +203,14 @@ def _lengths(nodes: FloatArray, closed: bool) -> FloatArray:
 
 
 def _link(n: int, width: float) -> FloatArray:
-    """Log prior of one node's place given its neighbour's (n, n), normalised."""
-    place = STEP * np.arange(n)
-    level = -0.5 * ((place[:, None] - place) / width) ** 2
-    return np.asarray(level - logsumexp(level, axis=1, keepdims=True))
+    """Log prior of one node's place given its neighbour's (n, n).
+
+    Normalised over all places, not those searched alone: ends of the search are no attraction.
+    """
+    place = STEP * np.arange(2 * n - 1) - STEP * (n - 1)
+    norm = logsumexp(-0.5 * (place / width) ** 2)
+    apart = STEP * (np.arange(n)[:, None] - np.arange(n))
+    return np.asarray(-0.5 * (apart / width) ** 2 - norm)
 
 
 def _best_width(score: FloatArray) -> float:
