@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,11 +26,14 @@ from sasmap.productnames import MANIFEST, RIPPLE_PRODUCTS
 from sasmap.products.files import write_text
 from sasmap.products.model import on_cell, write_mosaic
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
+from sasmap.products.sediments import write_sediments
 from sasmap.ripples.chain import Chain, chained, next_prior
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimate import estimate
 from sasmap.ripples.passes import Summary, summarise
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.settings import RippleSettings
+from sasmap.sedimentmap import Bands, levelled, map_sediments, map_transform
 from sasmap.store import Store, code_version, digest
 from sasmap.survey.cells import Cell
 from sasmap.survey.navigation import Track
@@ -41,7 +44,7 @@ log = logging.getLogger("sasmap")
 
 MIN_VALID = 0.25
 CLUSTER_TIMEOUT = "10s"
-SEDIMENTS_NOTE = "sediments: not yet run by this version"
+TRAINING_NOTE = "sediments: classes with training polygons are not yet run by this version"
 
 
 class Look(NamedTuple):
@@ -117,7 +120,8 @@ class Outcome:
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
     chains: dict[tuple[int, int], Chain] = field(default_factory=dict)
-    models: dict[tuple[int, int], str] = field(default_factory=dict)
+    models: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
+    sediments: list[dict[str, Any]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     computed: int = 0
@@ -157,8 +161,8 @@ def make_plan(survey: Survey) -> Plan:
     left_out = [] if survey.ripples else ["ripples: the survey file has no ripples block"]
     if survey.sediments is None:
         left_out.append("sediments: the survey file has no sediments block")
-    else:
-        left_out.append(SEDIMENTS_NOTE)
+    elif isinstance(survey.sediments.classes, tuple):
+        left_out.append(TRAINING_NOTE)
     hashes = {f: hash_file(f) for f in sorted(files)}
     return Plan(opened, looks, cells, tiles, hashes, tuple(left_out))
 
@@ -220,6 +224,9 @@ def run_survey(
         left = [name for name in RIPPLE_PRODUCTS if (store.output / name).exists()]
         if left:
             log.warning("of an earlier run, not of this one: %s", ", ".join(left))
+    if _mapped(plan):
+        with clock.stage("sediments"):
+            _map_sediments(plan, store, outcome, workers)
     _write_manifest(plan, store, outcome)
     return outcome
 
@@ -275,17 +282,18 @@ def _estimate_cells(
     done = dict(zip(tasks, _compute(list(tasks.values()), workers, client, progress), strict=True))
     for cell, looks in plan.cells.items():
         summaries: list[Summary | None] = [None] * len(plan.looks)
+        models: list[str | None] = [None] * len(plan.looks)
         for k in looks:
             result = done[cell, k]
             summaries[k] = result.summary
-            if result.model is not None:  # the last pass's stays
-                outcome.models[cell.row, cell.column] = result.model
+            models[k] = result.model
             outcome.computed += result.computed
             outcome.kept += not result.computed
             if result.fault is not None:
                 summaries[k] = Summary(Quality.FAILED, LeftOut(0))
                 outcome.failures.append(_failure(cell, plan.looks[k], result.fault))
         outcome.cells[cell.row, cell.column] = summaries
+        outcome.models[cell.row, cell.column] = models
         outcome.chains[cell.row, cell.column] = chained(summaries, settings)
 
 
@@ -343,8 +351,7 @@ def _run_look(context: _Context, cell: Cell, k: int, earlier: list[LookResult]) 
 def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
     plan, store = context
     look = plan.looks[k]
-    settings = plan.settings.ripples
-    assert settings is not None
+    settings = _ripple_settings(plan)
     prior = next_prior(earlier, settings)
     key = _key(plan, cell, look, [prior.mean, prior.sd])
     kept = store.load(key)
@@ -360,11 +367,25 @@ def _look(context: _Context, cell: Cell, k: int, earlier: list[Summary]) -> Look
         pixels = Clip.from_array(clip)
         posterior = estimate(pixels, settings, rng=rng, prior=prior)
         summary = summarise(posterior)
-        if posterior.model is not None:
-            grid, window = plan.opened.grid, plan.settings.window
-            store.save_model(key, on_cell(pixels, posterior.model, grid, cell, window))
+        if posterior.model is not None and posterior.relief is not None:
+            place = plan.opened.grid, cell, plan.settings.window
+            both = (on_cell(pixels, v, *place) for v in (posterior.model, posterior.relief))
+            store.save_model(key, *both)
     store.save(key, summary)
     return LookResult(summary, None, True, _model_key(store, key))
+
+
+def _ripple_settings(plan: Plan) -> RippleSettings:
+    """Return settings of the estimates: the sediment map needs the ripples' modelled amplitude."""
+    settings = plan.settings.ripples
+    assert settings is not None
+    return settings.model_copy(update={"keep_model": settings.keep_model or _mapped(plan)})
+
+
+def _mapped(plan: Plan) -> bool:
+    """Whether the survey calls for a sediment map that this version makes."""
+    sediments = plan.settings.sediments
+    return sediments is not None and not isinstance(sediments.classes, tuple)
 
 
 def _model_key(store: Store, key: str) -> str | None:
@@ -401,12 +422,11 @@ def _seed(seed: int, look: Look, cell: Cell) -> np.random.SeedSequence:
 def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
     grid, sonar_pass = plan.opened.grid, look.sonar_pass
     tiles = plan.tiles[sonar_pass.name].get(cell, ())
-    assert plan.settings.ripples is not None
     return digest(
         {
             "code": code_version(),
             "seed": plan.settings.seed,
-            "settings": plan.settings.ripples.model_dump(mode="json"),
+            "settings": _ripple_settings(plan).model_dump(mode="json"),
             "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
             "cell": list(cell),
             "pass": [look.label, look.side, sonar_pass.slant],
@@ -465,10 +485,60 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     if settings.keep_model:
         path = store.output / "modelled_amplitude.tif"
         window = plan.settings.window
-        write_mosaic(
-            path, outcome.models, store.load_model, shape, window, grid, tags, store.scratch
-        )
+        last = {c: [m for m in keys if m is not None] for c, keys in outcome.models.items()}
+        models = {c: keys[-1] for c, keys in last.items() if keys}
+        write_mosaic(path, models, store.load_model, shape, window, grid, tags, store.scratch)
         outcome.written.append(path)
+
+
+def _map_sediments(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> None:
+    assert plan.settings.sediments is not None
+    grid, window = plan.opened.grid, plan.settings.window
+    count = plan.settings.sediments.classes
+    bands = Bands(
+        grid.rows, grid.columns, window, len(plan.looks), partial(_read_look, plan, store, outcome)
+    )
+    found = map_sediments(
+        bands, count if isinstance(count, int) else None, workers or os.cpu_count() or 1
+    )
+    if found is None:
+        return
+    transform = map_transform(grid.left, grid.top, grid.size, window)
+    outcome.sediments = found.table(abs(transform.determinant))
+    outcome.written += write_sediments(
+        store.output,
+        found.label,
+        found.confidence,
+        found.lines,
+        found.names,
+        transform,
+        grid.crs,
+        _tags(plan),
+        store.scratch,
+    )
+
+
+def _read_look(
+    plan: Plan, store: Store, outcome: Outcome, row: int, column: int, k: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Amplitude, over that of ripples, and ground range of a look on a cell's own pixels."""
+    cell, look = Cell(row, column), plan.looks[k]
+    if k not in plan.cells.get(cell, ()):
+        return None
+    try:
+        clip = _clip(plan, cell, look, look.side)
+    except (OSError, ValueError):  # a block that does not decode: the ripple stage names it
+        return None
+    if clip is None:
+        return None
+    pixels = Clip.from_array(clip)
+    place = plan.opened.grid, cell, plan.settings.window
+    known = np.where(pixels.valid, pixels.amplitude, np.nan)
+    amplitude, reach = (on_cell(pixels, v, *place) for v in (known, pixels.ground_range))
+    keys = outcome.models.get((row, column))
+    key = keys[k] if keys else None
+    relief = store.load_relief(key).astype(float) if key is not None else None
+    return levelled(amplitude.astype(float), relief), reach.astype(float)
 
 
 def _write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
@@ -490,6 +560,7 @@ def _write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
         "cells_by_quality": outcome.counts(),
         "looks_computed": outcome.computed,
         "looks_kept_from_earlier_runs": outcome.kept,
+        "sediment_classes": outcome.sediments,
         "failures": outcome.failures,
         "warnings": list(plan.opened.warnings),
         "left_out": [*plan.left_out, *_left_out_counts(outcome)],

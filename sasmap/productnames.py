@@ -11,5 +11,11 @@ RIPPLE_PRODUCTS = (
     "ripples.nc",
     "modelled_amplitude.tif",
 )
+SEDIMENT_PRODUCTS = (
+    "sediment_class.tif",
+    "sediment_class.tif.aux.xml",
+    "sediment_confidence.tif",
+    "sediment_boundaries.gpkg",
+)
 MANIFEST = "run.json"
-PRODUCTS = frozenset({*RIPPLE_PRODUCTS, MANIFEST})
+PRODUCTS = frozenset({*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS, MANIFEST})

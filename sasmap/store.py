@@ -57,14 +57,21 @@ class Store:
         """Where the modelled amplitude of a cell is kept."""
         return self.path(key).with_suffix(".npy")
 
-    def save_model(self, key: str, model: NDArray[np.float32]) -> None:
-        """Keep a cell's modelled amplitude (before the result itself, which completes it)."""
+    def save_model(self, key: str, model: NDArray[np.float32], relief: NDArray[np.float32]) -> None:
+        """Keep a cell's modelled amplitude (before the result itself, which completes it).
+
+        And the same over flat sea floor's.
+        """
         with written_whole(self.model_path(key), self.scratch) as part, part.open("wb") as file:
-            np.save(file, model)
+            np.save(file, np.stack([model, relief]))
 
     def load_model(self, key: str) -> NDArray[np.float32]:
         """Return a cell's modelled amplitude."""
-        return np.asarray(np.load(self.model_path(key)), np.float32)
+        return np.asarray(np.load(self.model_path(key))[0], np.float32)
+
+    def load_relief(self, key: str) -> NDArray[np.float32]:
+        """Return a cell's modelled amplitude over that of flat sea floor."""
+        return np.asarray(np.load(self.model_path(key))[1], np.float32)
 
     def clear(self) -> None:
         """Forget all finished work."""

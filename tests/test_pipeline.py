@@ -103,9 +103,10 @@ def test_manifest_says_what_ran_and_what_was_left_out(sample):
     assert set(manifest["inputs"]) == {
         "near/near_r0_c0.tif", "near.csv", "far/far_r0_c0.tif", "far.csv",
     }  # fmt: skip
-    assert any("sediments" in line for line in manifest["left_out"])
     assert manifest["looks_computed"] == 12
-    assert set(manifest["seconds"]) == {"check", "ripples", "products"}
+    assert set(manifest["seconds"]) == {"check", "ripples", "products", "sediments"}
+    levels = [c["intensity_dB_over_first"] for c in manifest["sediment_classes"]]
+    np.testing.assert_allclose(levels, [0.0, 4.56, 7.98], atol=0.3)  # mud, sand, gravel
     assert manifest["settings"]["ripples"]["chains"] == 4
     assert not [p for p in output.rglob("*.part")]
 

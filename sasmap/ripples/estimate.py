@@ -11,7 +11,7 @@ from sasmap.ripples.folded import Proposal
 from sasmap.ripples.image import Image, as_image
 from sasmap.ripples.kernel import SIZE
 from sasmap.ripples.likelihood import Prior
-from sasmap.ripples.model import modelled_amplitude
+from sasmap.ripples.model import modelled
 from sasmap.ripples.posterior import (
     NOTHING,
     LeftOut,
@@ -123,6 +123,7 @@ def _default(
         return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
     fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.level)
     draws, acceptance, done = _sampled(fit, task, rng)
+    image_of = modelled(clip, image, fit, draws) if settings.keep_model else None
     return Posterior(
         _judged(draws, done, image, probability),
         prior,
@@ -137,8 +138,9 @@ def _default(
             fit.phase.stiffness,
             fit.noise_factor,
         ),
-        modelled_amplitude(clip, image, fit, draws) if settings.keep_model else None,
+        None if image_of is None else image_of.amplitude,
         labelled(draws),
+        None if image_of is None else image_of.relief,
     )
 
 

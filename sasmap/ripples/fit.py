@@ -265,7 +265,7 @@ def dispersion(fit: Fit) -> tuple[float, float]:
     freedom : float
     """
     data = fit.data
-    model, clear = pulses(fit.theta, data)
+    model, clear, _ = pulses(fit.theta, data)
     enough = clear & (data.known > FEW)
     mean = data.total[enough] / data.known[enough]
     square = data.known[enough] * np.log(model[enough] / mean) + data.known[enough] * (
@@ -279,7 +279,7 @@ def residual(image: Image, fit: Fit) -> FloatArray:
     """Intensity over the model's (rows, columns); 0 where not valid, not rippled or in shadow."""
     used = image.valid & fit.phase.pixels(fit.phase.covered, image.shape)
     plan, _, _ = fold_plan(image, fit.phase, fit.reference)
-    pulse, clear = pulses(fit.theta, fit.data)
+    pulse, clear, _ = pulses(fit.theta, fit.data)
     model = unfold_pixels(used, fit.phase.cycles(image.shape), plan, np.where(clear, pulse, 0.0))
     lit = model > DARK * max(float(model[used].mean()), 1e-300)
     power = detrended(image, fit.phase, fit.trend) + DYNAMIC_RANGE

@@ -475,12 +475,13 @@ def straight_pulse(theta, data, block, edges, seen, clear):  # type: ignore[no-u
 def pulses(theta, data):  # type: ignore[no-untyped-def]
     """Intensity of each block and bin as the image shows it, gain included (blocks, bins).
 
-    And which bins are lit throughout (blocks, bins).
+    And which bins are lit throughout (blocks, bins), and the gain: that of flat floor (blocks,).
     """
     blocks, bins = data.known.shape
     sides = blocks // data.group.size
     result = np.empty((blocks, bins))
     clear = np.ones((blocks, bins), np.bool_)
+    gain = np.ones(blocks)
     shape, hidden, edges = np.empty(bins), np.empty(bins + 2), np.zeros(8)
     first, pixels, scaled = 0, 0.0, 0.0
     for block in range(blocks):
@@ -497,9 +498,11 @@ def pulses(theta, data):  # type: ignore[no-untyped-def]
             strip == data.group.size or data.group[strip] != data.group[strip - 1]
         )
         if ends:
-            result[first : block + 1] *= scaled / pixels if pixels > 0.0 else 1.0
+            gain[first : block + 1] = scaled / pixels if pixels > 0.0 else 1.0
+            for k in range(first, block + 1):
+                result[k] *= gain[k]
             first, pixels, scaled = block + 1, 0.0, 0.0
-    return result, clear
+    return result, clear, gain
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,22 @@ DRAWS = 40
 RAYLEIGH = float(np.sqrt(np.pi) / 2)
 
 
-def modelled_amplitude(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> FloatArray:
+class Modelled(NamedTuple):
+    """The image that a posterior stands for; (rows, columns), NaN where no ripple is.
+
+    Attributes
+    ----------
+    amplitude : ndarray
+        In the clip's units.
+    relief : ndarray
+        The same over that of flat sea floor there; 0 in shadow but for noise.
+    """
+
+    amplitude: FloatArray
+    relief: FloatArray
+
+
+def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
     """Posterior mean of a clip's amplitude.
 
     Parameters
@@ -34,22 +50,31 @@ def modelled_amplitude(clip: Clip, image: Image, fit: Fit, draws: FloatArray) ->
 
     Returns
     -------
-    ndarray (rows, columns)
-        In the clip's units, also where the clip has holes but its geometry is known; NaN where no
-        ripple is or none can be told. All NaN where the clip is not on a straight lattice.
+    Modelled
+        Also where the clip has holes but its geometry is known; NaN where no ripple is or none can
+        be told. All NaN where the clip is not on a straight lattice.
     """
-    result = np.full(clip.amplitude.shape, np.nan)
+    result, relief = (np.full(clip.amplitude.shape, np.nan) for _ in range(2))
     if image.shape != clip.amplitude.shape:
-        return result
+        return Modelled(result, relief)
     every = draws.reshape(-1, draws.shape[-1])
     chosen = every[:: max(len(every) // DRAWS, 1)]
-    mean = np.mean([np.sqrt(pulses(theta, fit.data)[0]) for theta in chosen], axis=0)
+    mean, over = np.mean([_both(theta, fit) for theta in chosen], axis=0)
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
     known = geometry & phase.pixels(phase.spread_cover(), image.shape)
     plan, _, _ = fold_plan(image, whole, fit.reference)
-    amplitude = unfold_pixels(known, whole.cycles(image.shape), plan, mean)
+    cycles = whole.cycles(image.shape)
+    amplitude = unfold_pixels(known, cycles, plan, mean)
+    relief[known] = unfold_pixels(known, cycles, plan, over)[known]
     trend = np.sqrt(spread_boxes(fit.trend, phase.box, image.shape))
     result[known] = RAYLEIGH * image.rms * amplitude[known] * trend[known]
-    return result
+    return Modelled(result, relief)
+
+
+def _both(theta: FloatArray, fit: Fit) -> FloatArray:
+    """Amplitude of blocks and bins, and that over flat sea floor's (2, blocks, bins)."""
+    pulse, _, gain = pulses(theta, fit.data)
+    flat = gain[:, None] * (fit.data.flat + np.exp(theta[4]))
+    return np.asarray(np.sqrt(np.stack([pulse, pulse / np.maximum(flat, 1e-300)])))

@@ -137,6 +137,8 @@ class Posterior:
         geometry is known or no ripple is.
     chains : Dataset (chain, draw)
         The Markov chains that `draws` were made from, for diagnostics; `draws` where not given.
+    relief : ndarray (rows, columns) or None
+        With `model`: the same over the amplitude of flat sea floor.
     """
 
     quality: Quality
@@ -148,6 +150,7 @@ class Posterior:
     shape: Shape | None = None
     model: FloatArray | None = None
     chains: xr.Dataset = field(default_factory=xr.Dataset)
+    relief: FloatArray | None = None
 
     @property
     def sampled(self) -> bool:

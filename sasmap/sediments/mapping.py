@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from sasmap.sediments.nodes import Boundary, normals, refine_boundary
-from sasmap.sediments.segmentation import ClassMap
 
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.uint8]
@@ -45,14 +44,15 @@ class RefinedMap(NamedTuple):
     lines: tuple[Line, ...]
 
 
-def refine_map(found: ClassMap, likelihood: NDArray[np.float32]) -> RefinedMap:
+def refine_map(label: Labels, likelihood: Sequence[Any]) -> RefinedMap:
     """Trace the boundaries of a class map, refine each, and paint the map to agree with them.
 
     Parameters
     ----------
-    found : ClassMap
-    likelihood : ndarray (classes, rows, columns)
-        Of :func:`sasmap.sediments.segmentation.log_likelihoods`.
+    label : ndarray of uint8 (rows, columns)
+        Of :func:`sasmap.sediments.segmentation.class_map`.
+    likelihood : sequence of array (rows, columns)
+        One a class, of :func:`sasmap.sediments.segmentation.log_likelihoods`; only slices are read.
 
     Returns
     -------
@@ -60,9 +60,9 @@ def refine_map(found: ClassMap, likelihood: NDArray[np.float32]) -> RefinedMap:
         Without lines where there is one class.
     """
     lines = []
-    for left, right, points, closed in traced(found.label):
+    for left, right, points, closed in traced(label):
         lines.append(Line(left, right, _refined(points, likelihood, left, right, closed)))
-    return RefinedMap(painted(found.label, lines), tuple(lines))
+    return RefinedMap(painted(label, lines), tuple(lines))
 
 
 def traced(label: Labels) -> Iterator[tuple[int, int, FloatArray, bool]]:
@@ -140,14 +140,14 @@ def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[n
 
 
 def _refined(
-    points: FloatArray, likelihood: NDArray[np.float32], left: int, right: int, closed: bool
+    points: FloatArray, likelihood: Sequence[Any], left: int, right: int, closed: bool
 ) -> Boundary:
     low = np.maximum(np.floor(points.min(axis=0)).astype(int) - MARGIN, 0)
     high = np.ceil(points.max(axis=0)).astype(int) + MARGIN + 1
     part = (slice(low[0], high[0]), slice(low[1], high[1]))
     ratio = likelihood[left - 1][part] - likelihood[right - 1][part]
     found = refine_boundary(points - low, ratio.astype(float), closed=closed)
-    return found._replace(points=found.points + low)
+    return Boundary(found.points + low, found.sd, found.closed, found.rounds)
 
 
 def painted(label: Labels, lines: list[Line]) -> Labels:

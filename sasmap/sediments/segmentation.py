@@ -5,6 +5,9 @@ trend of the pass, and grouped by a Gaussian mixture; groups whose laws differ b
 are one sediment. Each class is then an amplitude law of its own
 (:func:`sasmap.sediments.fitting.choose`), and pixels are classified by the sum of log likelihoods
 over all looks, smoothed by a Potts field that does not smear edges (mean field).
+
+A trend over range and a boundary that runs along the track look alike to a single look; looks from
+two sides, or ranges, tell them apart.
 """
 
 from __future__ import annotations
@@ -15,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, uniform_filter
+from scipy.ndimage import binary_erosion, distance_transform_edt, uniform_filter
+from scipy.ndimage import label as measure_label
 from scipy.special import logsumexp
 
 from sasmap.sediments.fitting import Law, choose, effective_samples
@@ -31,6 +35,10 @@ MOST_CLASSES = 8
 EVEN = 3.0
 # Mean log likelihood ratio a pixel (nats) by which laws must differ to be two sediments.
 APART = 0.02
+# Blocks apart, at most, of pairs that tell the range trend.
+LAGS = 4
+# How far slope and bend within classes may be from what those say (standard deviation).
+SLOPE_SD = (0.12, 0.3)
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
 SAMPLES = 60_000
@@ -38,6 +46,8 @@ GRID = 1024
 # Potts field: pixels of its window, and its strength in nats where all neighbours agree.
 FIELD, STRENGTH, ROUNDS = 9, 9.0, 12
 FIRST_WINDOW = 13
+# Pixels of the smallest patch that the map shows.
+SMALLEST = 300
 
 
 class Look(NamedTuple):
@@ -115,11 +125,11 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     blocks = [_block_statistics(look, centre) for look in looks]
     if not any((b.known > 0).any() for b in blocks):
         raise ValueError("expected a block of known amplitudes")
-    trends = _first_gains(blocks)
-    for _ in range(4):
+    first = trends = _first_trends(blocks)
+    for _ in range(3):
         features, index = _features(blocks, trends)
         groups = _grouped(features, count or 1)
-        trends = _trends_of(blocks, groups, index, trends)
+        trends = _refit(blocks, groups, index, first)
     factor = _noise_factor(looks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
@@ -145,17 +155,52 @@ def _block_statistics(look: Look, centre: float) -> _Blocks:
     return _Blocks(mean, square / total, np.where(enough, count, 0.0), at)
 
 
-def _first_gains(blocks: list[_Blocks]) -> FloatArray:
-    """Gain of each look against the first, by the blocks that both show."""
+def _first_trends(blocks: list[_Blocks]) -> FloatArray:
+    """Slope and bend of each look by its neighbouring blocks, gain by the blocks that two show."""
     trends = np.zeros((len(blocks), 3))
     for k, block in enumerate(blocks):
+        trends[k, 1:] = _slope(block)
+        level = block.mean - _trend(trends[k], block.place)
         for j in range(k):
             both = (block.known > 0) & (blocks[j].known > 0)
             if both.any():
-                step = np.median(block.mean[both] - blocks[j].mean[both])
-                trends[k, 0] = trends[j, 0] + step
+                other = blocks[j].mean - _trend(trends[j], blocks[j].place)
+                trends[k, 0] = np.median(level[both] - other[both])
                 break
     return trends
+
+
+def _slope(block: _Blocks) -> FloatArray:
+    """Slope and bend of log amplitude with log range, by differences of near blocks.
+
+    Of most such pairs both blocks hold the same sediment; those that do not are told by their
+    residuals and count for little (Cauchy weights).
+    """
+    change, step, bend = [], [], []
+    for axis in (0, 1):
+        for lag in range(1, LAGS + 1):
+            first = [np.moveaxis(v, axis, 0)[lag:] for v in block]
+            second = [np.moveaxis(v, axis, 0)[:-lag] for v in block]
+            both = (first[2] > 0) & (second[2] > 0)
+            change.append((first[0] - second[0])[both])
+            step.append((first[3] - second[3])[both])
+            bend.append((first[3] ** 2 - second[3] ** 2)[both])
+    y = np.concatenate(change)
+    design = np.column_stack([np.concatenate(step), np.concatenate(bend)])
+    if y.size < 20:
+        return np.zeros(2)
+    found: FloatArray = np.zeros(2)
+    weight: FloatArray = np.ones(y.size)
+    for _ in range(30):
+        heavy = design * weight[:, None]
+        # what nothing tells stays at 0
+        found = np.asarray(
+            np.linalg.solve(heavy.T @ design + np.diag([1e-4, 1e-3]), heavy.T @ y), np.float64
+        )
+        rest = y - design @ found
+        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
+        weight = np.asarray(1 / (1 + (rest / scale) ** 2), np.float64)
+    return np.asarray(found)
 
 
 def _features(
@@ -248,35 +293,37 @@ def _mixture(points: FloatArray, n: int, floor: FloatArray) -> tuple[FloatArray,
     return share, level
 
 
-def _trends_of(
+def _refit(
     blocks: list[_Blocks],
     groups: NDArray[np.int64],
     index: tuple[NDArray[np.int64], ...],
-    trends: FloatArray,
+    first: FloatArray,
 ) -> FloatArray:
-    """Fit gain, slope and bend of each look to what its blocks have beyond their classes."""
-    count = int(groups.max()) + 1
-    result = trends.copy()
+    """Fit gain, slope and bend of each look to what its blocks have beyond their classes.
+
+    Not far from the first slopes, which no class can have bent.
+    """
+    count, size = int(groups.max()) + 1, 3 * len(blocks)
     design, wanted, weight = [], [], []
     for k, block in enumerate(blocks):
         there = block.known[index] > 0
         place = block.place[index][there]
-        columns = np.zeros((there.sum(), 3 * len(blocks) + count))
+        columns = np.zeros((place.size, size + count))
         columns[:, 3 * k : 3 * k + 3] = np.column_stack([np.ones(place.size), place, place**2])
-        columns[np.arange(place.size), 3 * len(blocks) + groups[there]] = 1
+        columns[np.arange(place.size), size + groups[there]] = 1
         design.append(columns)
         wanted.append(block.mean[index][there])
-        weight.append(np.sqrt(block.known[index][there]))
-    # the first look's gain is the survey's; a little stiffness keeps trends that nothing tells at 0
-    stiff = np.zeros((3 * len(blocks), 3 * len(blocks) + count))
-    stiff[:, : 3 * len(blocks)] = np.diag(np.tile([1e-3, 30.0, 30.0], len(blocks)))
-    stiff[0, 0] = 1e6
+        error = np.sqrt(block.variance[index][there] / block.known[index][there])
+        weight.append(1 / np.hypot(error, 0.03))
+    stiff = np.zeros((size, size + count))
+    sd = np.tile([10.0, *SLOPE_SD], len(blocks))
+    sd[0] = 1e-6  # the first look's gain is the survey's
+    stiff[:, :size] = np.diag(1 / sd)
     w = np.concatenate(weight)
     matrix = np.vstack([np.vstack(design) * w[:, None], stiff])
-    right = np.concatenate([np.concatenate(wanted) * w, np.zeros(len(stiff))])
+    right = np.concatenate([np.concatenate(wanted) * w, first.ravel() / sd])
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    result[:] = found[: 3 * len(blocks)].reshape(-1, 3)
-    return result
+    return np.asarray(found[:size].reshape(-1, 3))
 
 
 def _noise_factor(looks: Sequence[Look]) -> float:
@@ -442,8 +489,23 @@ def class_map(likelihood: NDArray[np.float32]) -> ClassMap:
     for _ in range(ROUNDS):
         field = np.stack([uniform_filter(np.where(seen, s, 0), FIELD) for s in share])
         share = _softmax(level + STRENGTH * field / np.maximum(field.sum(axis=0), 1e-6))
-    label = np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8)
+    label = _sieved(np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8))
     return ClassMap(label, np.where(seen, share.max(axis=0), np.nan).astype(np.float32))
+
+
+def _sieved(label: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Give specks of a class, of too few pixels to tell it, to the class that is nearest."""
+    small = np.zeros(label.shape, bool)
+    for k in np.unique(label[label > 0]):
+        parts, _ = measure_label(label == k)
+        size = np.bincount(parts.ravel())
+        small |= (size < SMALLEST)[parts] & (parts > 0)
+    if not small.any() or (small | (label == 0)).all():
+        return label
+    nearest = distance_transform_edt(
+        small | (label == 0), return_distances=False, return_indices=True
+    )
+    return np.where(small, label[tuple(nearest)], label).astype(np.uint8)
 
 
 def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -61,7 +61,7 @@ def test_pulses_at_the_truth_are_the_reference_model(near, shadow):
     angle = np.arctan2(data.sine, data.cosine) + turn
     grazing = np.arctan2(4.83, centre + place)
     expected = lit_amplitude(grazing, np.cos(angle), 1.0, 2 * np.pi * TRUTH[0] * TRUTH[1]) ** 2
-    model, clear = pulses(theta, data)
+    model, clear, _ = pulses(theta, data)
     sides = data.along.size // data.group.size
     used = clear & (data.known > 0)
     off = []
@@ -106,7 +106,7 @@ def test_integrating_the_gain_changes_nothing_but_a_constant():
     sides = data.along.size // data.group.size
 
     def integrated(theta):
-        shape, _ = pulses(theta, data)
+        shape, _, _ = pulses(theta, data)
         value = 0.0
         for group in np.unique(data.group):
             rows = np.repeat(data.group == group, sides)

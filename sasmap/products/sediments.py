@@ -1,0 +1,88 @@
+"""Sediment products of a survey: classes, confidence and boundaries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from sasmap.products.geopackage import Feature, write_boundaries
+from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
+from sasmap.sediments.mapping import Line
+
+# After Okabe and Ito, told apart by colour-blind readers; more classes take them again, darker.
+COLOURS = (
+    (230, 159, 0),
+    (86, 180, 233),
+    (0, 158, 115),
+    (240, 228, 66),
+    (0, 114, 178),
+    (213, 94, 0),
+    (204, 121, 167),
+    (140, 140, 140),
+)
+
+
+def write_sediments(
+    folder: Path,
+    label: NDArray[np.uint8],
+    confidence: NDArray[np.float32],
+    lines: Sequence[Line],
+    names: Sequence[str],
+    transform: Affine,
+    crs: str,
+    tags: Mapping[str, str],
+    scratch: Path,
+) -> list[Path]:
+    """Write sediment_class.tif, sediment_confidence.tif and sediment_boundaries.gpkg.
+
+    Parameters
+    ----------
+    folder : Path
+    label : ndarray of uint8 (rows, columns)
+        1 for the first class, 0 for nodata.
+    confidence : ndarray (rows, columns)
+    lines : sequence of Line
+    names : sequence of str
+        Of the classes.
+    transform : Affine
+        Of the label's pixels.
+    crs : str
+        WKT.
+    tags : mapping of str to str
+    scratch : Path
+
+    Returns
+    -------
+    list of Path
+    """
+    categories = {0: Category("no data", (0, 0, 0, 0))}
+    for i, name in enumerate(names):
+        shade = 0.7 ** (i // len(COLOURS))
+        red, green, blue = (int(shade * v) for v in COLOURS[i % len(COLOURS)])
+        categories[i + 1] = Category(name, (red, green, blue, 255))
+    written = [folder / "sediment_class.tif"]
+    layer = Layer(["sediment class"], [""], 0, "uint8", categories, tags)
+    write_cog(written[0], as_bands(label), layer, transform, crs, scratch)
+    written.append(folder / "sediment_confidence.tif")
+    layer = float_layer(["probability of the class"], ["1"], tags)
+    write_cog(written[1], as_bands(confidence), layer, transform, crs, scratch)
+    written.append(folder / "sediment_boundaries.gpkg")
+    step = float(np.sqrt(abs(transform.determinant)))
+    features = [_feature(line, names, transform, step) for line in lines]
+    write_boundaries(written[2], features, crs, scratch)
+    return written
+
+
+def _feature(line: Line, names: Sequence[str], transform: Affine, step: float) -> Feature:
+    points = line.boundary.points
+    if line.boundary.closed:
+        points = np.vstack([points, points[:1]])
+    column, row = points[:, 1] + 0.5, points[:, 0] + 0.5
+    x = transform.c + transform.a * column + transform.b * row
+    y = transform.f + transform.d * column + transform.e * row
+    sd = step * float(np.sqrt(np.mean(line.boundary.sd**2)))
+    return Feature(np.column_stack([x, y]), names[line.left - 1], names[line.right - 1], sd)
