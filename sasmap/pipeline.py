@@ -226,7 +226,12 @@ def run_survey(
             log.warning("of an earlier run, not of this one: %s", ", ".join(left))
     if _mapped(plan):
         with clock.stage("sediments"):
-            _map_sediments(plan, store, outcome, workers)
+            try:
+                _map_sediments(plan, store, outcome, workers)
+            except Exception as error:  # what is done stays, and the run says what is missing
+                fault = f"{type(error).__name__}: {error}"
+                log.warning("sediments: %s", fault)
+                outcome.failures.append({"stage": "sediments", "fault": fault})
     _write_manifest(plan, store, outcome)
     return outcome
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 
 FloatArray = NDArray[np.float64]
@@ -26,6 +27,8 @@ LINES, ALONG = 4, 0.5
 # Widths of the prior tried: pixels by which one node moves beyond the next (standard deviation).
 WIDTHS = (0.25, 0.5, 1.0, 2.0)
 ROUNDS, STILL = 12, 0.3
+# Reaches from its guess at which a curve has gone astray.
+ASTRAY = 1.5
 # Nodes over which the last reference curve is smoothed (standard deviation).
 SMOOTH = 2.0
 
@@ -75,6 +78,7 @@ def refine_boundary(
     Returns
     -------
     Boundary
+        Where nothing holds it, the guess itself, known to its reach alone.
 
     Raises
     ------
@@ -82,7 +86,7 @@ def refine_boundary(
         Where there are fewer than two different points.
     """
     image = np.nan_to_num(np.asarray(ratio, float))
-    nodes = resampled(np.asarray(points, float), spacing, closed)
+    first = nodes = resampled(np.asarray(points, float), spacing, closed)
     places = np.arange(-reach, reach + 0.5 * STEP, STEP)
     rounds, moving = 0, True
     while moving and rounds < ROUNDS:
@@ -94,6 +98,8 @@ def refine_boundary(
         shift = gaussian_filter1d(places[moves], 0.7, mode="wrap" if closed else "nearest")
         nodes = nodes + shift[:, None] * normals(nodes, closed)
         nodes = resampled(nodes, spacing, closed)
+        if _astray(nodes, first, reach):
+            return Boundary(first, np.full(len(first), reach / np.sqrt(3)), closed, rounds)
         moving = np.abs(places[moves]).max() > STILL + STEP / 2
     # a curve that has followed the speckle tells nothing about how far it may stray: from a
     # smooth one the image decides that anew
@@ -103,6 +109,11 @@ def refine_boundary(
     mean = weight @ places
     sd = np.sqrt(np.maximum(weight @ places**2 - mean**2, (STEP**2) / 12))
     return Boundary(smooth + mean[:, None] * normals(smooth, closed), sd, closed, rounds)
+
+
+def _astray(nodes: FloatArray, first: FloatArray, reach: float) -> bool:
+    """Whether a curve has left what its first guess could search: there was no such boundary."""
+    return bool(cKDTree(first).query(nodes)[0].max() > ASTRAY * reach)
 
 
 def _smoothed(nodes: FloatArray, closed: bool) -> FloatArray:

@@ -126,3 +126,11 @@ def test_nothing_to_tell_leaves_a_line_where_it_is_and_unsure():
     found = refine_boundary(guess, np.zeros((60, 60)), reach=10)
     assert np.abs(found.points[:, 1] - 30).max() < 1
     assert found.sd.min() > 3
+
+
+def test_a_line_that_nothing_holds_does_not_run_away():
+    # all of the image says that it is left of any line
+    guess = np.column_stack([np.arange(80.0)[::-1], np.full(80, 40.0)])
+    found = refine_boundary(guess, np.full((80, 200), 0.3), reach=10)
+    assert np.abs(found.points[:, 1] - 40).max() < 16
+    assert found.sd.min() > 3
