@@ -33,7 +33,7 @@ from sasmap.ripples.estimate import estimate
 from sasmap.ripples.passes import Summary, summarise
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.settings import RippleSettings
-from sasmap.sedimentmap import Bands, levelled, map_sediments, map_transform
+from sasmap.sedimentmap import Bands, levelled, map_sediments
 from sasmap.store import Store, code_version, digest
 from sasmap.survey.cells import Cell
 from sasmap.survey.navigation import Track
@@ -226,12 +226,7 @@ def run_survey(
             log.warning("of an earlier run, not of this one: %s", ", ".join(left))
     if _mapped(plan):
         with clock.stage("sediments"):
-            try:
-                _map_sediments(plan, store, outcome, workers)
-            except Exception as error:  # what is done stays, and the run says what is missing
-                fault = f"{type(error).__name__}: {error}"
-                log.warning("sediments: %s", fault)
-                outcome.failures.append({"stage": "sediments", "fault": fault})
+            _try_sediments(plan, store, outcome, workers)
     _write_manifest(plan, store, outcome)
     return outcome
 
@@ -496,6 +491,16 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
         outcome.written.append(path)
 
 
+def _try_sediments(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> None:
+    """Map sediments; where that fails, what is done stays and the run says what is missing."""
+    try:
+        _map_sediments(plan, store, outcome, workers)
+    except Exception as error:
+        fault = f"{type(error).__name__}: {error}"
+        log.warning("sediments: %s", fault)
+        outcome.failures.append({"stage": "sediments", "fault": fault})
+
+
 def _map_sediments(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> None:
     assert plan.settings.sediments is not None
     grid, window = plan.opened.grid, plan.settings.window
@@ -508,7 +513,7 @@ def _map_sediments(plan: Plan, store: Store, outcome: Outcome, workers: int | No
     )
     if found is None:
         return
-    transform = map_transform(grid.left, grid.top, grid.size, window)
+    transform = grid.pixels(window)
     outcome.sediments = found.table(abs(transform.determinant))
     outcome.written += write_sediments(
         store.output,

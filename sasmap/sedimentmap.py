@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import dask
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
 
 from sasmap.sediments.mapping import Line, refine_map
@@ -141,20 +140,27 @@ def map_sediments(bands: Bands, count: int | None, workers: int | None) -> Sedim
     SedimentMap or None
         None where no look shows the floor.
     """
-    sample = _sample(bands, workers)
-    if sample is None:
+    sample = {row: bands.band(row, workers) for row in _sampled_rows(bands)}
+    looks = _stacked(list(sample.values()))
+    if not any(np.isfinite(look.amplitude).any() for look in looks):
         return None
-    classes = find_classes(sample, count)
+    classes = find_classes(looks, count)
+    del looks
+
+    def likelihoods(row: int) -> NDArray[np.float32]:
+        read = sample.pop(row, None)
+        return log_likelihoods(read or bands.band(row, workers), classes)
+
     shape = (bands.rows * bands.window, bands.columns * bands.window)
     label = np.zeros(shape, np.uint8)
     confidence = np.full(shape, np.nan, np.float32)
     kept = np.zeros((len(classes.laws), *shape), np.int8)
-    ahead = log_likelihoods(bands.band(0, workers), classes)
+    ahead = likelihoods(0)
     behind = ahead[:, :0]
     for row in range(bands.rows):
         here = ahead
         last = row + 1 == bands.rows
-        ahead = here[:, :0] if last else log_likelihoods(bands.band(row + 1, workers), classes)
+        ahead = here[:, :0] if last else likelihoods(row + 1)
         around = np.concatenate([behind[:, -HALO:], here, ahead[:, :HALO]], axis=1)
         found = class_map(around)
         above = behind[:, -HALO:].shape[1]
@@ -173,20 +179,19 @@ def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
     return np.asarray(np.rint(below / STEP), np.int8)
 
 
-def _sample(bands: Bands, workers: int | None) -> list[Look] | None:
-    """Stack looks at evenly spread rows of cells; None where none shows anything."""
+def _sampled_rows(bands: Bands) -> list[int]:
+    """Evenly spread rows of cells: all, where they are few."""
     each = bands.window**2 * bands.columns * bands.looks
     many = int(np.clip(SAMPLE // each, 1, bands.rows))
-    rows = np.unique(np.linspace(0, bands.rows - 1, many + 2)[1:-1].round().astype(int))
     if many == bands.rows:
-        rows = np.arange(bands.rows)
-    read = [bands.band(int(row), workers) for row in rows]
-    looks = [
-        Look(*(np.vstack([part[k][i] for part in read]) for i in range(2)))
-        for k in range(bands.looks)
-    ]
-    seen = [look for look in looks if np.isfinite(look.amplitude).any()]
-    return looks if seen else None
+        return list(range(bands.rows))
+    spread = np.linspace(0, bands.rows - 1, many + 2)[1:-1]
+    return [int(row) for row in np.unique(spread.round())]
+
+
+def _stacked(read: list[list[Look]]) -> list[Look]:
+    """Lay bands of cells one below the other, look by look."""
+    return [Look(*map(np.vstack, zip(*parts, strict=True))) for parts in zip(*read, strict=True)]
 
 
 def levelled(amplitude: FloatArray, relief: FloatArray | None) -> FloatArray:
@@ -206,9 +211,3 @@ def levelled(amplitude: FloatArray, relief: FloatArray | None) -> FloatArray:
         return amplitude
     known = np.where(np.isfinite(relief), relief, 1.0)
     return np.asarray(np.where(known < SHADOW, np.nan, amplitude / np.maximum(known, SHADOW)))
-
-
-def map_transform(left: float, top: float, cell: float, window: int) -> Affine:
-    """Affine of the map's pixels."""
-    step = cell / window
-    return Affine(step, 0.0, left, 0.0, -step, top)

@@ -22,7 +22,8 @@ import numpy as np
 from scipy.special import gammaln, i0e, kve
 
 from sasmap.sediments import fit, generalized_k
-from sasmap.sediments.fitting import FAMILIES, fit_histogram
+from sasmap.sediments.fitting import FAMILIES
+from sasmap.sediments.moments import fit_histogram
 
 mp.mp.dps = 40
 DECADES_NU = ((-3, -1), (-1, 1), (1, 3), (3, 5), (5, 8))

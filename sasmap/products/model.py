@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from affine import Affine
 from numpy.typing import NDArray
 from rasterio.shutil import copy
 from rasterio.windows import Window
@@ -82,7 +81,6 @@ def write_mosaic(
     OSError
         Where the file cannot be written.
     """
-    step = grid.size / window
     profile = {
         "driver": "GTiff",
         "dtype": "float32",
@@ -90,7 +88,7 @@ def write_mosaic(
         "height": shape[0] * window,
         "width": shape[1] * window,
         "crs": rasterio.crs.CRS.from_wkt(grid.crs),
-        "transform": Affine(step, 0, grid.left, 0, -step, grid.top),
+        "transform": grid.pixels(window),
         "nodata": float("nan"),
         "tiled": True,
         "compress": "deflate",

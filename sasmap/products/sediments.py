@@ -10,20 +10,11 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from sasmap.products.geopackage import Feature, write_boundaries
-from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
+from sasmap.products.rasters import CLASS_COLOURS, Category, Layer, as_bands, float_layer, write_cog
 from sasmap.sediments.mapping import Line
 
-# After Okabe and Ito, told apart by colour-blind readers; more classes take them again, darker.
-COLOURS = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (0, 114, 178),
-    (213, 94, 0),
-    (204, 121, 167),
-    (140, 140, 140),
-)
+# More classes take them again, darker.
+COLOURS = (*CLASS_COLOURS, (140, 140, 140))
 
 
 def write_sediments(

@@ -18,8 +18,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.gaussians import Mixture
 from sasmap.ripples.likelihood import Prior
-from sasmap.ripples.mixture import Mixture, disagreement, marginal, product, widened
+from sasmap.ripples.mixture import disagreement, marginal, product, widened
 from sasmap.ripples.passes import NAN, Summary
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.settings import RippleSettings
@@ -115,14 +116,12 @@ def chained(summaries: Sequence[Summary | None], settings: RippleSettings) -> Ch
         )
     known: list[Knowledge] = []
     together: Mixture | None = None
+    # the only look is known by its own draws, better than by their mixture
+    only = summaries[group[0]] if len(group) == 1 else None
     for k in range(len(summaries)):
         if k in group:
             together = wide[k] if together is None else product(together, wide[k])
-        # the only look is known by its own draws, better than by their mixture
-        only = summaries[k] if group == (k,) else None
-        known.append(of_summary(only) if only is not None else _known(together, settings))
-    if len(group) == 1:
-        known[group[0] :] = [known[group[0]]] * (len(known) - group[0])
+        known.append(_known(together, only, settings))
     final = known[-1] if known else UNKNOWN
     if not group:
         group, final = _doubtful(summaries)
@@ -208,9 +207,11 @@ def _apart(looks: dict[int, Mixture], group: tuple[int, ...], k: int) -> float:
     return disagreement(looks[k], together)
 
 
-def _known(together: Mixture | None, settings: RippleSettings) -> Knowledge:
+def _known(together: Mixture | None, only: Summary | None, settings: RippleSettings) -> Knowledge:
     if together is None:
         return UNKNOWN
+    if only is not None:
+        return of_summary(only)
     bounds = (settings.frequency, settings.height)
     f, height = (marginal(together, i, bounds[i]) for i in range(2))
     turn = marginal(together, 2, (-np.inf, np.inf))

@@ -222,8 +222,8 @@ def _sampled(fit: Fit, task: Task, rng: np.random.Generator) -> tuple[np.ndarray
     states = members[rng.permutation(len(members))[:chains]]
     for most in (*BURN_IN, task.settings.draws):
         proposal = learn_proposal(members, WIDENED, width)
-        draws, accepted = _rounds(states, proposal, min(most, task.settings.draws), fit, task, rng)
-        done = _all_converged(draws)
+        most = min(most, task.settings.draws)
+        draws, accepted, done = _rounds(states, proposal, most, fit, task, rng)
         if done:
             break
         seen = draws[:, draws.shape[1] // 3 :].reshape(-1, SIZE)
@@ -239,25 +239,24 @@ def _rounds(
     fit: Fit,
     task: Task,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, float]:
-    """Run chains until they converge, or for this many draws each."""
+) -> tuple[np.ndarray, float, bool]:
+    """Run chains until they converge, or for this many draws each.
+
+    Returns what :func:`_sampled` does, in the coordinates that are sampled.
+    """
     rounds: list[np.ndarray] = []
-    accepted, kept = 0, 0
-    while kept < most:
+    accepted, kept, done = 0, 0, False
+    while kept < most and not done:
         steps = min(max(ROUND, kept // 2), most - kept)
         chains = [metropolis(s, steps, proposal, fit.data, task.compiled, rng) for s in states]
         states = np.array([chain.draws[-1] for chain in chains])
         accepted += sum(chain.accepted for chain in chains)
         kept += steps
         rounds.append(np.stack([chain.draws for chain in chains]))
-        if _all_converged(np.concatenate(rounds, axis=1)):
-            break
-    return np.concatenate(rounds, axis=1), accepted / (kept * len(states))
-
-
-def _all_converged(draws: np.ndarray) -> bool:
-    theta = parameters(draws)
-    return all(converged(theta[..., i]) for i in range(3))
+        draws = np.concatenate(rounds, axis=1)
+        theta = parameters(draws)
+        done = all(converged(theta[..., i]) for i in range(3))
+    return draws, accepted / (kept * len(states)), done
 
 
 def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -> np.ndarray:

@@ -258,7 +258,7 @@ def fold(
     """
     plan, group, zero = fold_plan(image, phase, reference)
     used = image.valid & phase.pixels(phase.covered, image.shape)
-    sums, dark, places, edges, _ = fold_pixels(
+    sums, dark, places, edges = fold_pixels(
         detrended(image, phase, trend),
         used,
         image.saturated,
@@ -276,17 +276,7 @@ def fold(
     bins = _bins(sums, blocks)
     if reference is None:
         bins = _even_bins(bins)
-    look, wave = image.look, phase.wave
-    base = np.array([0.0, wave @ look, wave[0] * look[1] - wave[1] * look[0]])
-    if reference is not None:
-        f, _, azimuth, shift = reference.theta[:4]
-        turn = azimuth - reference.data.look
-        base = np.array([shift, f * np.cos(turn), f * np.sin(turn)])
-    known = float(np.hypot(SLIP_SD, image.jitter))
-    slip = np.array([0.0, 1 / known**2]), np.array([-3.0, 3.0]) * known
-    error = np.array([np.log(phase.blur), 1 / phase.blur_sd**2])
-    bounds = np.log(COARSE_BLURS if phase.rigid else FIELD_BLURS)
-    blur, blur_bounds = (error, bounds) if reference is None else slip
+    blur, blur_bounds = _blur(image, phase, reference)
     return FoldData(
         known=np.ascontiguousarray(sums[..., KNOWN]),
         total=sums[..., TOTAL] + DYNAMIC_RANGE * count,
@@ -298,7 +288,7 @@ def fold(
         dark=dark,
         edges=edges,
         edge_start=np.searchsorted(edges[:, EDGE_BLOCK], np.arange(len(dark) + 1)),
-        edge_sd=_nearness(image, reference, wave)[1],
+        edge_sd=_nearness(image, reference, phase.wave)[1],
         along=blocks.along,
         across=blocks.across,
         reach=blocks.reach,
@@ -308,7 +298,7 @@ def fold(
         group=group,
         lagging=_line_weights(blocks.along, blocks.weight),
         zero=zero,
-        reference=base,
+        reference=_folded_by(image, phase, reference),
         wave=phase.mean_wave,
         wave_precision=1 / phase.wave_sd**2,
         look=float(np.radians(image.azimuth)),
@@ -316,13 +306,34 @@ def fold(
         table_steepness=MAX_STEEPNESS,
         blur=blur,
         blur_bounds=blur_bounds,
-        pixel=image.pixel_size * float(np.hypot(*wave)),
+        pixel=image.pixel_size * float(np.hypot(*phase.wave)),
         power=1.0,
         profile=PROFILES[profile],
         shadow=0 if shadow is None else 2 if shadow == "crest" else 1,
         field=int(not phase.rigid),
         fine=0 if reference is None else min(reference.data.fine + 1, len(ZONES) - 1),
     )
+
+
+def _folded_by(image: Image, phase: PhaseField, reference: Reference | None) -> FloatArray:
+    """Phase, rad, and wave vector along and across the look, cycles/m, of a fold."""
+    if reference is None:
+        look, wave = image.look, phase.wave
+        return np.array([0.0, wave @ look, wave[0] * look[1] - wave[1] * look[0]])
+    f, _, azimuth, shift = reference.theta[:4]
+    turn = azimuth - reference.data.look
+    return np.array([shift, f * np.cos(turn), f * np.sin(turn)])
+
+
+def _blur(
+    image: Image, phase: PhaseField, reference: Reference | None
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and precision of the last parameter, and its bounds."""
+    if reference is None:
+        bounds = np.log(COARSE_BLURS if phase.rigid else FIELD_BLURS)
+        return np.array([np.log(phase.blur), 1 / phase.blur_sd**2]), bounds
+    known = float(np.hypot(SLIP_SD, image.jitter))
+    return np.array([0.0, 1 / known**2]), np.array([-3.0, 3.0]) * known
 
 
 def detrended(image: Image, phase: PhaseField, trend: FloatArray) -> FloatArray:

@@ -10,34 +10,22 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr
 
+from sasmap.gaussians import Mixture, expectation_maximisation, log_densities
+
 FloatArray = NDArray[np.float64]
 
 MOST = 3
 # Independent draws that a posterior's draws count as when components are chosen.
 EFFECTIVE = 400.0
-ROUNDS, RIDGE = 80, 1e-4
+# Rounds of a fit, the gain in mean log likelihood at which it ends, and the least variance of
+# components, over that of all draws.
+ROUNDS, ENOUGH, FLOOR = 80, 1e-6, np.full(3, 1e-4)
 # Of a product, components of less than this share are left out; no more than so many are kept.
 NEGLIGIBLE, MOST_KEPT = 1e-7, 64
 # Components of less than this weight do not speak for a pass.
 SLIGHT = 0.02
 # A density with less of itself within its bounds lies outside.
 OUTSIDE = 1e-200
-
-
-class Mixture(NamedTuple):
-    """Gaussian mixture.
-
-    Attributes
-    ----------
-    weight : ndarray (n,)
-        Sum 1.
-    mean : ndarray (n, 3)
-    covariance : ndarray (n, 3, 3)
-    """
-
-    weight: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
 
 
 def fit_mixture(points: FloatArray) -> Mixture:
@@ -68,7 +56,7 @@ def fit_mixture(points: FloatArray) -> Mixture:
 
 
 def _moments(z: FloatArray) -> Mixture:
-    covariance = np.cov(z.T) + RIDGE * np.eye(z.shape[1])
+    covariance = np.cov(z.T) + np.diag(FLOOR)
     return Mixture(np.ones(1), z.mean(axis=0)[None], covariance[None])
 
 
@@ -76,40 +64,13 @@ def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     """Fit n components; return the mean log likelihood as well."""
     if n == 1:
         mixture = _moments(z)
-        return mixture, float(_log_densities(z, mixture)[:, 0].mean())
+        return mixture, float(log_densities(z, mixture)[:, 0].mean())
     # starts as slices along the direction in which the draws are least like one Gaussian
     skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
-    mixture = _maximised(z, share.astype(float))
-    level = -np.inf
-    for _ in range(ROUNDS):
-        density = _log_densities(z, mixture)
-        total = logsumexp(density, axis=1)
-        previous, level = level, float(total.mean())
-        mixture = _maximised(z, np.exp(density - total[:, None]))
-        if level - previous < 1e-6:
-            break
+    mixture, _, level = expectation_maximisation(z, share.astype(float), FLOOR, ROUNDS, ENOUGH)
     return mixture, level
-
-
-def _maximised(z: FloatArray, share: FloatArray) -> Mixture:
-    total = np.maximum(share.sum(axis=0), 1e-9)
-    mean = (share.T @ z) / total[:, None]
-    offset = z[None] - mean[:, None]
-    covariance = np.einsum("kn,kni,knj->kij", share.T, offset, offset) / total[:, None, None]
-    return Mixture(total / total.sum(), mean, covariance + RIDGE * np.eye(z.shape[1]))
-
-
-def _log_densities(z: FloatArray, mixture: Mixture) -> FloatArray:
-    """Log of weight times density of each component (n, components)."""
-    result = np.empty((len(z), mixture.weight.size))
-    for k, (weight, mean, covariance) in enumerate(zip(*mixture, strict=True)):
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(factor, (z - mean).T)
-        norm = np.log(np.diag(factor)).sum() + 0.5 * mean.size * np.log(2 * np.pi)
-        result[:, k] = np.log(weight) - norm - 0.5 * (white**2).sum(axis=0)
-    return result
 
 
 def widened(mixture: Mixture, sd: FloatArray) -> Mixture:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sasmap.ripples.mixture import Mixture, fit_mixture
+from sasmap.gaussians import Mixture
+from sasmap.ripples.mixture import fit_mixture
 from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
 
 NAN = float("nan")

@@ -174,6 +174,18 @@ def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _keep(edge, block, phase, moved, along, across, power):  # type: ignore[no-untyped-def]
+    """Fill what is kept of a pixel near an edge of shadow."""
+    edge[EDGE_BLOCK] = block
+    edge[EDGE_PAST] = phase / (2.0 * np.pi) - 0.25 - moved
+    edge[EDGE_ALONG] = along
+    edge[EDGE_ACROSS] = across
+    edge[EDGE_POWER] = power
+    edge[EDGE_COSINE] = np.cos(phase)
+    edge[EDGE_SINE] = np.sin(phase)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan, zero):  # type: ignore[no-untyped-def]
     """Sum pixels over bins of phase and blocks; `field` is their phase beyond the plan's, if any.
 
@@ -224,20 +236,11 @@ def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan, ze
                 if abs(distance) < plan.zone:
                     near += 1
                     turn = near * GOLDEN
-                    if (
-                        turn - np.floor(turn) < plan.share
-                        and kept < plan.most
-                        and not saturated[i, j]
-                    ):
-                        phase = 2.0 * np.pi * cycles + zero
+                    chosen = turn - np.floor(turn) < plan.share and kept < plan.most
+                    if chosen and not saturated[i, j]:
                         moved = (bend[strip, 3] if last else bend[strip, 2]) * offset
-                        edges[kept, EDGE_BLOCK] = block
-                        edges[kept, EDGE_PAST] = phase / (2.0 * np.pi) - 0.25 - moved
-                        edges[kept, EDGE_ALONG] = along
-                        edges[kept, EDGE_ACROSS] = across
-                        edges[kept, EDGE_POWER] = power[i, j]
-                        edges[kept, EDGE_COSINE] = np.cos(phase)
-                        edges[kept, EDGE_SINE] = np.sin(phase)
+                        phase = 2.0 * np.pi * cycles + zero
+                        _keep(edges[kept], block, phase, moved, along, across, power[i, j])
                         kept += 1
                     continue
                 if distance > 0.0:
@@ -250,7 +253,7 @@ def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan, ze
             sums[block, k, TOTAL] += power[i, j]
             sums[block, k, PHASE] += cycles - (k + 0.5) / plan.bins
             sums[block, k, ALONG] += along
-    return sums, dark, places, edges[:kept], near
+    return sums, dark, places, edges[:kept]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

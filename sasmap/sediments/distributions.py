@@ -72,6 +72,13 @@ class Table:
         """Where the probability below (or above) is q (n,)."""
         return np.array([self._quantile(float(p), upper) for p in q])
 
+    def quadrature(self) -> tuple[FloatArray, FloatArray]:
+        """Places, and probability that each stands for, over all of the law (pieces, points)."""
+        low, high = self.place[:-1, None], self.place[1:, None]
+        x = low + 0.5 * (high - low) * (1 + NODES)
+        density = np.exp(log_densities(x.ravel(), self.nu, self.kappa)).reshape(x.shape)
+        return x, 0.5 * (high - low) * WEIGHTS * density
+
     def _mass(self, low: float, high: float) -> float:
         return float(mass(low, high, self.nu, self.kappa, self.normaliser, NODES, WEIGHTS))
 
@@ -210,11 +217,11 @@ class GeneralizedK(rv_continuous):  # type: ignore[misc]
         ValueError
             Where data are empty, negative or not finite, or another loc is asked for.
         """
-        from sasmap.sediments.fitting import fit_generalized_k, fit_moments
+        from sasmap.sediments.fitting import fit
+        from sasmap.sediments.moments import fit_moments
 
-        if kwds.get("floc", 0) != 0 or kwds.get("loc", 0) != 0:
-            raise ValueError("floc: expected 0, amplitudes begin there")
-        law = (fit_moments if kwds.get("method") == "MM" else fit_generalized_k)(data)
+        _check_loc(kwds)
+        law = fit_moments(data) if kwds.get("method") == "MM" else fit(data)
         return law.nu, law.kappa, 0.0, law.scale
 
 
@@ -253,12 +260,16 @@ class KDistribution(GeneralizedK):
 
     def fit(self, data: FloatArray, *args: Any, **kwds: Any) -> tuple[float, ...]:
         """Fit by maximum likelihood: nu, loc (0) and scale; see :meth:`GeneralizedK.fit`."""
-        from sasmap.sediments.fitting import fit_k
+        from sasmap.sediments.fitting import fit
 
-        if kwds.get("floc", 0) != 0 or kwds.get("loc", 0) != 0:
-            raise ValueError("floc: expected 0, amplitudes begin there")
-        law = fit_k(data)
+        _check_loc(kwds)
+        law = fit(data, "k")
         return law.nu, 0.0, law.scale
+
+
+def _check_loc(options: dict[str, Any]) -> None:
+    if options.get("floc", 0) != 0 or options.get("loc", 0) != 0:
+        raise ValueError("floc: expected 0, amplitudes begin there")
 
 
 def _log_power_mean(nu: FloatArray, power: float) -> FloatArray:
@@ -294,10 +305,8 @@ def even_moment(m: int, nu: FloatArray, kappa: FloatArray) -> FloatArray:
 
 def _moment(law: Table, order: FloatArray) -> FloatArray:
     """E[x^order] of scale 1 by integration over the law's smooth pieces."""
-    low, high = law.place[:-1, None], law.place[1:, None]
-    x = low + 0.5 * (high - low) * (1 + NODES)
-    density = np.exp(log_densities(x.ravel(), law.nu, law.kappa)).reshape(x.shape)
-    total = (0.5 * (high - low) * WEIGHTS * density * x ** float(order[0])).sum()
+    x, weight = law.quadrature()
+    total = (weight * x ** float(order[0])).sum()
     return np.full(order.size, total)
 
 

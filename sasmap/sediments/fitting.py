@@ -1,6 +1,6 @@
-"""Fits of amplitude laws: maximum likelihood, moments, log-moments, histogram least squares.
+"""Fits of amplitude laws by maximum likelihood, and the choice among them.
 
-Maximum likelihood takes raw or weighted samples (gathered in narrow bins of log amplitude, each at
+Takes raw or weighted samples (gathered in narrow bins of log amplitude, each at
 its own mean) or histograms, whose bins are integrated over: a density at bin centres is not what an
 8-bit image holds (SCIENCE 4 "Fitting").
 """
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.optimize import least_squares
 
 from sasmap.sediments import likelihood as ml
-from sasmap.sediments.distributions import Table, even_moment, generalized_k, k_distribution
-from sasmap.sediments.kernel import log_densities
+from sasmap.sediments.distributions import NODES as NODES16
+from sasmap.sediments.distributions import WEIGHTS as WEIGHTS16
+from sasmap.sediments.distributions import generalized_k, k_distribution
 
 FloatArray = NDArray[np.float64]
 Family = Literal["rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k"]
@@ -112,6 +112,12 @@ class Law:
         return self.shape if self.family in ("k", "generalized_k") else float("inf")
 
     @property
+    def coordinates(self) -> FloatArray:
+        """Log shape (0 without one), log(1 + kappa^2) and log mean square (3,)."""
+        shape = np.log(self.shape) if np.isfinite(self.shape) else 0.0
+        return np.array([shape, np.log1p(self.kappa**2), np.log(self.mean_square)])
+
+    @property
     def frozen(self) -> stats.rv_continuous:
         """The law as a frozen distribution of scipy.stats."""
         root = np.sqrt(0.5)
@@ -137,16 +143,11 @@ class Law:
         ndarray
         """
         x = np.asarray(x, float)
-        u = _coordinates(self)
+        u = self.coordinates
         flat = np.maximum(x.ravel(), LEAST * np.sqrt(self.mean_square))
         result = np.empty(flat.size)
         ml.fill(FAMILIES.index(self.family), u, flat, flat, flat, NODES, WEIGHTS, result)
         return result.reshape(x.shape)
-
-
-def _coordinates(law: Law) -> FloatArray:
-    shape = np.log(law.shape) if np.isfinite(law.shape) else 0.0
-    return np.array([shape, np.log1p(law.kappa**2), np.log(law.mean_square)])
 
 
 def _places(x: FloatArray) -> FloatArray:
@@ -282,11 +283,11 @@ def fit(
     total = float(bins.samples.sum())
     kind, free = FAMILIES.index(family), np.array(FREE[family])
     packed = (bins.low, bins.high, bins.centre, bins.samples, NODES, WEIGHTS)
-    begun = [ml.climb(kind, s, free, packed, FIRST_ROUNDS) for s in _starts(bins, family)]
+    begun = [ml.climb(kind, s, free, packed, FIRST_ROUNDS) for s in starts_of(bins, family)]
     best = max(begun, key=lambda b: b[1])
     u, level, information = ml.climb(kind, best[0], free, packed, ml.ROUNDS)
     share = (samples or total) / total
-    divergence, p_value = _divergence(kind, u, bins, share, int(free.sum()))
+    divergence, p_value = divergence_of(kind, u, bins, share, int(free.sum()))
     scale = float(np.exp(ml.scale_of(kind, u)))
     return Law(
         family,
@@ -302,7 +303,7 @@ def fit(
     )
 
 
-def _starts(bins: Bins, family: Family) -> list[FloatArray]:
+def starts_of(bins: Bins, family: Family) -> list[FloatArray]:
     """Where climbs begin: by moments, and for generalised K at both ends of its ridge."""
     share = bins.samples / bins.samples.sum()
     square = float(share @ bins.centre**2)
@@ -338,7 +339,7 @@ def _errors(
     return float(result[0]), float(result[1]), float(result[2])
 
 
-def _divergence(
+def divergence_of(
     kind: int, u: FloatArray, bins: Bins, share: float, parameters: int
 ) -> tuple[float, float]:
     """Deviance of a histogram a sample, in nats, and its p-value (chi-squared)."""
@@ -362,7 +363,6 @@ def _divergence(
     return max(deviance / total, 0.0), float(stats.chi2.sf(2 * share * deviance, freedom))
 
 
-NODES16, WEIGHTS16 = np.polynomial.legendre.leggauss(16)
 TESTED_BINS = 24
 
 
@@ -376,16 +376,6 @@ def _even_edges(bins: Bins) -> FloatArray:
     y = (_places(bins.centre[cut] / rms) + 1) * BIN + LOWEST
     y = np.where(y > TAIL, y, TAIL + (y - TAIL) * WIDER)
     return np.unique(np.concatenate([[0.0], rms * np.exp(y), [np.inf]]))
-
-
-def fit_generalized_k(data: ArrayLike | Bins) -> Law:
-    """Fit the generalised K law by maximum likelihood; see :func:`fit`."""
-    return fit(data, "generalized_k")
-
-
-def fit_k(data: ArrayLike | Bins) -> Law:
-    """Fit the K law by maximum likelihood; see :func:`fit`."""
-    return fit(data, "k")
 
 
 class Choice(NamedTuple):
@@ -481,163 +471,3 @@ def effective_samples(amplitude: ArrayLike) -> float:
     chance = 3 / np.sqrt(np.maximum(pairs[near], 1.0))
     total = float(correlation[correlation > chance].sum())
     return count / max(total, 1.0)
-
-
-def fit_moments(data: ArrayLike) -> Law:
-    """Fit the generalised K law by its even moments 2, 4 and 6 (G 3.4).
-
-    Parameters
-    ----------
-    data : array_like
-
-    Returns
-    -------
-    Law
-        Without errors or test of fit.
-    """
-    bins = data if isinstance(data, Bins) else gathered(data)
-    share = bins.samples / bins.samples.sum()
-    square = float(share @ bins.centre**2)
-    wanted = np.log([share @ bins.centre**4 / square**2, share @ bins.centre**6 / square**3])
-
-    def short(u: FloatArray) -> FloatArray:
-        nu, kappa = np.exp(u[0]), np.sqrt(np.expm1(u[1]))
-        two, four, six = (float(even_moment(m, nu, kappa)) for m in (1, 2, 3))
-        return np.asarray(np.log([four / two**2, six / two**3]) - wanted)
-
-    return _by_shape(bins, short, square)
-
-
-def fit_log_moments(data: ArrayLike) -> Law:
-    """Fit the generalised K law by the mean square and the variance and skew of log amplitude.
-
-    Parameters
-    ----------
-    data : array_like
-
-    Returns
-    -------
-    Law
-        Without errors or test of fit.
-    """
-    bins = data if isinstance(data, Bins) else gathered(data)
-    share = bins.samples / bins.samples.sum()
-    square = float(share @ bins.centre**2)
-    logs = np.log(bins.centre) - share @ np.log(bins.centre)
-    wanted = np.array([share @ logs**2, share @ logs**3])
-
-    def short(u: FloatArray) -> FloatArray:
-        law = Table(float(np.exp(u[0])), float(np.sqrt(np.expm1(u[1]))))
-        found = _log_cumulants(law)
-        return np.asarray((found - wanted) / np.array([wanted[0], wanted[0] ** 1.5]))
-
-    return _by_shape(bins, short, square)
-
-
-def _log_cumulants(law: Table) -> FloatArray:
-    low, high = law.place[:-1, None], law.place[1:, None]
-    x = low + 0.5 * (high - low) * (1 + NODES16)
-    weight = 0.5 * (high - low) * WEIGHTS16
-    weight = weight * np.exp(log_densities(x.ravel(), law.nu, law.kappa)).reshape(x.shape)
-    logs = np.log(x)
-    mean = (weight * logs).sum()
-    return np.array([(weight * (logs - mean) ** k).sum() for k in (2, 3)])
-
-
-def _by_shape(bins: Bins, short: object, square: float) -> Law:
-    found = [
-        least_squares(short, start, bounds=([np.log(0.02), 0.0], [np.log(1e5), np.log1p(1e6)]))
-        for start in ([0.5, 0.1], [1.5, 1.0])
-    ]
-    u = min(found, key=lambda f: f.cost).x
-    nu, kappa = float(np.exp(u[0])), float(np.sqrt(np.expm1(u[1])))
-    return _law_of(bins, nu, kappa, square)
-
-
-def _law_of(bins: Bins, nu: float, kappa: float, square: float) -> Law:
-    """Return a generalised K law that was not fitted by likelihood."""
-    scale = np.sqrt(square / (1 + kappa**2 * (1 + 1 / nu)))
-    total = float(bins.samples.sum())
-    nothing = (float("nan"),) * 3
-    law = Law("generalized_k", nu, kappa, float(scale), nothing, square, 0.0, total, np.nan, np.nan)
-    level = float(bins.samples @ law.log_density(bins.centre))
-    divergence, p_value = _divergence(5, _coordinates(law), bins, 1.0, 3)
-    return Law("generalized_k", nu, kappa, float(scale), nothing, square, level, total,
-               divergence, p_value)  # fmt: skip
-
-
-class HistogramFit(NamedTuple):
-    """A law fitted to a histogram by least squares, as G does.
-
-    Attributes
-    ----------
-    family : str
-    parameters : ndarray
-        Shapes, then the scale.
-    offset : float
-        DC offset of the amplitudes.
-    misfit : float
-        Mean square difference of the densities.
-    """
-
-    family: Family
-    parameters: FloatArray
-    offset: float
-    misfit: float
-
-
-def fit_histogram(
-    edges: ArrayLike, density: ArrayLike, family: Family, offset: bool = False
-) -> HistogramFit:
-    """Fit a law to a normalised histogram by least squares (G 3.4).
-
-    Parameters
-    ----------
-    edges : array_like (n + 1,)
-    density : array_like (n,)
-        Share of samples over the width of each bin.
-    family : str
-    offset : bool
-        Whether amplitudes may have a constant added (G's DC offset).
-
-    Returns
-    -------
-    HistogramFit
-    """
-    edge, wanted = np.asarray(edges, float), np.asarray(density, float)
-    width = np.diff(edge)
-    bins = histogram(edge, np.maximum(wanted * width, 0.0))
-    kind, free = FAMILIES.index(family), FREE[family]
-    index = [i for i in range(3) if free[i]]
-
-    def densities(v: FloatArray) -> FloatArray:
-        u = np.array([0.5, 0.2, 0.0])
-        u[index] = v[: len(index)]
-        moved = np.maximum(edge - (v[-1] if offset else 0.0), 0.0)
-        value = np.full(width.size, -np.inf)
-        some = np.diff(moved) > 0
-        part = np.empty(int(some.sum()))
-        low, high = moved[:-1][some], moved[1:][some]
-        ml.fill(kind, u, low, high, low, NODES, WEIGHTS, part)
-        value[some] = part
-        return np.asarray(np.exp(value) / width)
-
-    best = None
-    for start in _starts(bins, family):
-        first = np.append(start[index], [0.0] if offset else [])
-        lower = np.append(ml.LOWER[index], [-edge[-1]] if offset else [])
-        upper = np.append(ml.UPPER[index], [edge[-1]] if offset else [])
-        found = least_squares(
-            lambda v: densities(v) - wanted, first, bounds=(lower, upper), x_scale=0.1
-        )
-        best = found if best is None or found.cost < best.cost else best
-    assert best is not None
-    u = np.array([0.5, 0.2, 0.0])
-    u[index] = best.x[: len(index)]
-    shapes = [np.exp(u[0])] * free[0] + [np.sqrt(np.expm1(u[1]))] * free[1]
-    return HistogramFit(
-        family,
-        np.array([*shapes, np.exp(ml.scale_of(kind, u))]),
-        float(best.x[-1]) if offset else 0.0,
-        float(np.mean(best.fun**2)),
-    )

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt, uniform_filter
 from scipy.ndimage import label as measure_label
-from scipy.special import logsumexp
 
+from sasmap.gaussians import expectation_maximisation
 from sasmap.sediments.fitting import Law, choose, effective_samples
 
 FloatArray = NDArray[np.float64]
@@ -89,8 +89,7 @@ class Classes:
     def log_trend(self, look: int, ground_range: FloatArray) -> FloatArray:
         """Log of the amplitude that a look's gain and range trend make."""
         t = np.log(np.maximum(ground_range, 1e-3)) - self.centre
-        gain, slope, bend = self.trends[look]
-        return np.asarray(gain + slope * t + bend * t * t)
+        return _trend(self.trends[look], t)
 
 
 class _Blocks(NamedTuple):
@@ -238,8 +237,9 @@ def _grouped(points: FloatArray, least: int) -> NDArray[np.int64]:
     for n in range(least, max(MOST_CLASSES, least + 2) + 1):
         if n * 8 > len(points) and n > least:
             break
-        share, level = _mixture(points, n, floor)
-        score = level - 0.5 * (6 * n - 1) * np.log(len(points))
+        first, enough = _seeded(points, n), 1e-3 / len(points)
+        _, share, level = expectation_maximisation(points, first, floor, 100, enough)
+        score = level * len(points) - 0.5 * (6 * n - 1) * np.log(len(points))
         if score > best_score:
             best, best_score = np.argmax(share, axis=1), score
     return best
@@ -263,34 +263,15 @@ def _pruned(labels: NDArray[np.int64], least: int) -> NDArray[np.int64]:
     return result
 
 
-def _mixture(points: FloatArray, n: int, floor: FloatArray) -> tuple[FloatArray, float]:
-    """Fit a Gaussian mixture by expectation and maximisation from spread-out seeds."""
-    scale = points.std(axis=0) + 1e-9
-    z = points / scale
+def _seeded(points: FloatArray, n: int) -> FloatArray:
+    """First guess of which of n groups each point belongs to: the nearest of spread-out seeds."""
+    z = points / (points.std(axis=0) + 1e-9)
     seeds = [int(np.argmin(((z - np.median(z, axis=0)) ** 2).sum(axis=1)))]
     for _ in range(n - 1):  # the point that is farthest from all, but for the last few per cent
         away = np.min([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
         seeds.append(int(np.argsort(away)[int(0.98 * (len(z) - 1))]))
     near = np.argmin([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
-    share = np.eye(n)[near]
-    level = -np.inf
-    for _ in range(100):
-        weight = share.sum(axis=0) + 1e-9
-        mean = share.T @ points / weight[:, None]
-        density = np.empty((len(points), n))
-        for k in range(n):
-            offset = points - mean[k]
-            covariance = (share[:, k, None] * offset).T @ offset / weight[k] + np.diag(floor)
-            inverse = np.linalg.inv(covariance)
-            norm = 0.5 * np.log(np.linalg.det(covariance)) + np.log(2 * np.pi)
-            square = np.einsum("ni,ij,nj->n", offset, inverse, offset)
-            density[:, k] = np.log(weight[k] / len(points)) - norm - 0.5 * square
-        total = logsumexp(density, axis=1)
-        share = np.exp(density - total[:, None])
-        previous, level = level, float(total.sum())
-        if level - previous < 1e-3:
-            break
-    return share, level
+    return np.asarray(np.eye(n)[near])
 
 
 def _refit(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sasmap.errors import InputError
 from sasmap.products.files import write_text, written_whole
-from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
+from sasmap.products.rasters import CLASS_COLOURS, Category, Layer, as_bands, float_layer, write_cog
 from sasmap.simulate.image import NODATA, record, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
@@ -28,16 +28,6 @@ FloatArray = NDArray[np.float64]
 PING_SPACING = 0.5
 # A truth pixel is this many of the scene's.
 TRUTH_PIXELS = 10
-# Okabe and Ito's colours, told apart by colour-blind readers.
-CLASS_COLOURS = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (0, 114, 178),
-    (213, 94, 0),
-    (204, 121, 167),
-)
 
 
 class Raster(NamedTuple):

@@ -51,7 +51,12 @@ class CellGrid:
     @property
     def transform(self) -> Affine:
         """Affine of rasters with a pixel a cell."""
-        return Affine(self.size, 0.0, self.left, 0.0, -self.size, self.top)
+        return self.pixels(1)
+
+    def pixels(self, window: int) -> Affine:
+        """Affine of rasters with `window` by `window` pixels a cell."""
+        step = self.size / window
+        return Affine(step, 0.0, self.left, 0.0, -step, self.top)
 
     def __iter__(self) -> Iterator[Cell]:
         """Cells row by row."""

@@ -17,11 +17,11 @@ SETTINGS = RippleSettings(
 )
 
 
-def weak_ripples(seed, height=A):
+def weak_ripples(rng, frequency, height):
     """Ripples of a few percent of contrast in 100 x 100 pixels."""
     return straight_clip(
-        np.random.default_rng(seed),
-        frequency=F,
+        rng,
+        frequency=frequency,
         height=height,
         azimuth=70.0,
         pixel_size=0.06,
@@ -34,7 +34,7 @@ def weak_ripples(seed, height=A):
 
 @pytest.fixture(scope="module")
 def task():
-    image = as_image(weak_ripples(3))
+    image = as_image(weak_ripples(np.random.default_rng(3), F, A))
     return Task(image, None, SETTINGS, PRIOR, PRIOR.compiled(image.azimuth))
 
 
@@ -95,17 +95,7 @@ def test_intervals_of_clips_without_a_clear_wave_cover():
     for seed in range(24):
         rng = np.random.default_rng(seed)
         truth = rng.normal(F, 0.12)
-        clip = straight_clip(
-            rng,
-            frequency=truth,
-            height=0.003,
-            azimuth=70.0,
-            pixel_size=0.06,
-            shape=(100, 100),
-            near=20.0,
-            altitude=8.0,
-            noise=0.0,
-        )
+        clip = weak_ripples(rng, truth, 0.003)
         posterior = estimate(clip, SETTINGS, rng=seed, prior=PRIOR)
         low, _, high = posterior.quantiles["frequency"].values
         inside.append(low <= truth <= high)

@@ -11,7 +11,8 @@ from sasmap.sediments import (
     histogram,
     k_distribution,
 )
-from sasmap.sediments.fitting import FAMILIES, fit_histogram, fit_log_moments, fit_moments
+from sasmap.sediments.fitting import FAMILIES
+from sasmap.sediments.moments import fit_histogram, fit_log_moments, fit_moments
 
 
 @pytest.mark.parametrize(("nu", "kappa"), [(0.3, 0.5), (3.0, 1.0), (30.0, 3.0)])
