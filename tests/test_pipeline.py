@@ -156,7 +156,13 @@ def test_interrupted_and_resumed_gives_the_same_bytes(sample, tmp_path, kind):
         sys.executable, "-m", "sasmap.cli", "run", str(SAMPLE / "survey.yaml"),
         "--output", str(tmp_path), "--workers", "1",
     ]  # fmt: skip
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command,
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        # a suite that was started in the background ignores interrupts, and so would its children
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     finished = tmp_path / ".sasmap" / "cells"
     deadline = time.monotonic() + 120
     while len(list(finished.glob("*/*.json"))) < 3 and time.monotonic() < deadline:
