@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 FloatArray = NDArray[np.float64]
 
@@ -55,9 +55,8 @@ def expectation_maximisation(
     level = -np.inf
     for _ in range(rounds):
         density = log_densities(points, mixture)
-        total = logsumexp(density, axis=1)
-        share = np.exp(density - total[:, None])
-        previous, level = level, float(total.mean())
+        previous, level = level, _shares(density)
+        share = density
         mixture = _maximised(points, share, floor)
         if level - previous < enough:
             break
@@ -67,9 +66,58 @@ def expectation_maximisation(
 def _maximised(points: FloatArray, share: FloatArray, floor: FloatArray) -> Mixture:
     total = np.maximum(share.sum(axis=0), 1e-9)
     mean = (share.T @ points) / total[:, None]
-    offset = points[None] - mean[:, None]
-    covariance = np.einsum("kn,kni,knj->kij", share.T, offset, offset) / total[:, None, None]
+    covariance = _spreads(points, share, mean) / total[:, None, None]
     return Mixture(total / total.sum(), mean, covariance + np.diag(floor))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shares(density):  # type: ignore[no-untyped-def]
+    """Turn log densities into shares, in place; return the mean log likelihood."""
+    n, components = density.shape
+    total = 0.0
+    for i in range(n):
+        top = density[i].max()
+        mass = 0.0
+        for k in range(components):
+            density[i, k] = np.exp(density[i, k] - top)
+            mass += density[i, k]
+        density[i] /= mass
+        total += top + np.log(mass)
+    return total / n
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _spreads(points, share, mean):  # type: ignore[no-untyped-def]
+    """Sum of squared offsets from each component's mean (components, size, size)."""
+    n, components = share.shape
+    size = points.shape[1]
+    result = np.zeros((components, size, size))
+    offset = np.empty(size)
+    for i in range(n):
+        for k in range(components):
+            for a in range(size):
+                offset[a] = points[i, a] - mean[k, a]
+                for b in range(a + 1):
+                    result[k, a, b] += share[i, k] * offset[a] * offset[b]
+    for k in range(components):
+        for a in range(size):
+            for b in range(a):
+                result[k, b, a] = result[k, a, b]
+    return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_log_densities(points, weight, mean, inverse, norm, result):  # type: ignore[no-untyped-def]
+    n, size = points.shape
+    for k in range(weight.size):
+        for i in range(n):
+            square = 0.0
+            for a in range(size):
+                white = 0.0
+                for b in range(a + 1):
+                    white += inverse[k, a, b] * (points[i, b] - mean[k, b])
+                square += white * white
+            result[i, k] = norm[k] - 0.5 * square
 
 
 def log_densities(points: FloatArray, mixture: Mixture) -> FloatArray:
@@ -85,9 +133,10 @@ def log_densities(points: FloatArray, mixture: Mixture) -> FloatArray:
     ndarray (n, components)
     """
     result = np.empty((len(points), mixture.weight.size))
-    for k, (weight, mean, covariance) in enumerate(zip(*mixture, strict=True)):
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(factor, (points - mean).T)
-        norm = np.log(np.diag(factor)).sum() + 0.5 * mean.size * np.log(2 * np.pi)
-        result[:, k] = np.log(weight) - norm - 0.5 * (white**2).sum(axis=0)
+    factor = np.linalg.cholesky(mixture.covariance)
+    diagonal = np.diagonal(factor, axis1=1, axis2=2)
+    norm = np.log(mixture.weight) - np.log(diagonal).sum(axis=1)
+    norm -= 0.5 * points.shape[1] * np.log(2 * np.pi)
+    inverse = np.linalg.inv(factor)
+    _fill_log_densities(points, mixture.weight, mixture.mean, inverse, norm, result)
     return result

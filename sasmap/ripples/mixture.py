@@ -49,8 +49,9 @@ def fit_mixture(points: FloatArray) -> Mixture:
     for n in range(1, MOST + 1):
         mixture, level = _fitted(z, n)
         score = EFFECTIVE * level - 0.5 * n * parameters * np.log(EFFECTIVE)
-        if score > best_score:
-            best, best_score = mixture, score
+        if score <= best_score:
+            break
+        best, best_score = mixture, score
     outer = scale[:, None] * scale
     return Mixture(best.weight, centre + scale * best.mean, best.covariance * outer)
 

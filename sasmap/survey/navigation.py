@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,10 +81,17 @@ class Track:
         points = np.ascontiguousarray(x, float).ravel(), np.ascontiguousarray(y, float).ravel()
         out = np.empty((3, points[0].size))
         starboard = np.empty(points[0].size, np.bool_)
-        _locate(*points, *self._extended(), *self._course(), out, starboard)
+        _locate(*points, *self._extended, *self._course, self._tree, out, starboard)
         distance, altitude, azimuth = (row.reshape(shape) for row in out)
         return Geometry(distance, altitude, azimuth, starboard.reshape(shape))
 
+    @cached_property
+    def _tree(self) -> tuple[NDArray[np.int64], FloatArray]:
+        x, y, _ = self._extended
+        ends, deviation = _tree(x, y)
+        return ends, deviation
+
+    @cached_property
     def _extended(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         step = np.hypot(np.diff(self.x), np.diff(self.y))
         reach = min(2 * float(np.median(step)), MAX_REACH)
@@ -99,6 +107,7 @@ class Track:
         altitude = np.concatenate([self.altitude[:1], self.altitude, self.altitude[-1:]])
         return ends[0], ends[1], altitude
 
+    @cached_property
     def _course(self) -> tuple[FloatArray, FloatArray]:
         """Direction of the extended track's segments, each over a few metres of track.
 
@@ -119,48 +128,79 @@ class Track:
         return course[0], course[1]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _locate(px, py, tx, ty, altitude, cx, cy, out, starboard):  # type: ignore[no-untyped-def]
-    """Exact nearest point on a polyline; runs of points share a pruned list of segments."""
-    n, segments = px.size, tx.size - 1
-    run = 64
-    near = np.empty(segments, np.int64)
-    for start in range(0, n, run):
-        stop = min(start + run, n)
-        mx, my = px[start], py[start]
-        radius = 0.0
-        for i in range(start, stop):
-            radius = max(radius, np.hypot(px[i] - mx, py[i] - my))
-        best = np.inf
-        for s in range(segments):
-            d, _ = _segment_distance(mx, my, tx, ty, s)
-            best = min(best, d)
-        count = 0
-        for s in range(segments):
-            d, _ = _segment_distance(mx, my, tx, ty, s)
-            if d <= best + 2.0 * radius + 1e-9:
-                near[count] = s
-                count += 1
-        for i in range(start, stop):
-            _nearest(i, px[i], py[i], tx, ty, altitude, cx, cy, near[:count], out, starboard)
+# Segments of a leaf of the tree over a track.
+LEAF = 4
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _segment_distance(x, y, tx, ty, s):  # type: ignore[no-untyped-def]
-    dx, dy = tx[s + 1] - tx[s], ty[s + 1] - ty[s]
-    t = ((x - tx[s]) * dx + (y - ty[s]) * dy) / (dx * dx + dy * dy)
+def _tree(tx, ty):  # type: ignore[no-untyped-def]
+    """Halve a track's segments again and again: a binary heap of first and last, and how far its
+    vertices lie from the chord between the outer two.
+    """
+    size = 1
+    while size * LEAF < 2 * (tx.size - 1):
+        size *= 2
+    ends, deviation = np.zeros((2 * size, 2), np.int64), np.zeros(2 * size)
+    ends[1, 1] = tx.size - 1
+    for k in range(1, 2 * size):
+        first, last = ends[k]
+        if last <= first:
+            continue
+        for v in range(first + 1, last):
+            away, _ = _distance(tx[v], ty[v], tx[first], ty[first], tx[last], ty[last])
+            deviation[k] = max(deviation[k], away)
+        if last - first > LEAF and 2 * k + 1 < 2 * size:
+            middle = (first + last) // 2
+            ends[2 * k, 0], ends[2 * k, 1] = first, middle
+            ends[2 * k + 1, 0], ends[2 * k + 1, 1] = middle, last
+    return ends, deviation
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _distance(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """Distance of a point from a segment, and how far along it the nearest point lies (0 to 1)."""
+    dx, dy = bx - ax, by - ay
+    square = dx * dx + dy * dy
+    t = ((x - ax) * dx + (y - ay) * dy) / square if square > 0.0 else 0.0
     t = min(max(t, 0.0), 1.0)
-    return np.hypot(x - tx[s] - t * dx, y - ty[s] - t * dy), t
+    ex, ey = x - ax - t * dx, y - ay - t * dy
+    return np.sqrt(ex * ex + ey * ey), t
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(i, x, y, tx, ty, altitude, cx, cy, near, out, starboard):  # type: ignore[no-untyped-def]
-    best, at, along = np.inf, -1, 0.0
-    for s in near:
-        d, t = _segment_distance(x, y, tx, ty, s)
-        if d < best:
-            best, at, along = d, s, t
-    if at < 0 or (at == 0 and along <= 0.0) or (at == tx.size - 2 and along >= 1.0):
+def _locate(px, py, tx, ty, altitude, cx, cy, tree, out, starboard):  # type: ignore[no-untyped-def]
+    """Exact nearest point on a polyline; of segments as near, the first."""
+    ends, deviation = tree
+    stack = np.empty(128, np.int64)
+    last = 0
+    for i in range(px.size):
+        x, y = px[i], py[i]
+        at = last  # the last point's segment is near this point too
+        best, along = _distance(x, y, tx[at], ty[at], tx[at + 1], ty[at + 1])
+        stack[0], depth = 1, int(np.isfinite(best))
+        while depth > 0:
+            depth -= 1
+            k = stack[depth]
+            a, b = ends[k]
+            away, _ = _distance(x, y, tx[a], ty[a], tx[b], ty[b])
+            if away - deviation[k] - 1e-9 > best:
+                continue
+            if 2 * k + 1 < ends.shape[0] and ends[2 * k, 1] > ends[2 * k, 0]:
+                stack[depth], stack[depth + 1] = 2 * k, 2 * k + 1
+                depth += 2
+                continue
+            for s in range(a, b):
+                d, t = _distance(x, y, tx[s], ty[s], tx[s + 1], ty[s + 1])
+                if d < best or (d == best and s < at):
+                    best, at, along = d, s, t
+        last = at
+        _see(i, x, y, tx, ty, altitude, cx, cy, best, at, along, out, starboard)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _see(i, x, y, tx, ty, altitude, cx, cy, best, at, along, out, starboard):  # type: ignore[no-untyped-def]
+    """Fill in how a point is seen from the track's nearest point."""
+    if not np.isfinite(best) or (at == 0 and along <= 0.0) or (at == tx.size - 2 and along >= 1.0):
         out[0, i] = out[1, i] = out[2, i] = np.nan
         starboard[i] = False
         return

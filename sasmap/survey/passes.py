@@ -28,7 +28,7 @@ from sasmap.survey.tiles import Amplitude, Tile, find_tiles, gather, inspect_til
 
 Side = Literal["port", "starboard"]
 CHUNK = 1024
-CHECKED_PIXELS = 500_000
+CHECKED_PIXELS = 100_000
 
 ATTRIBUTES = {
     "ground_range": {"units": "m", "long_name": "horizontal distance from the track"},

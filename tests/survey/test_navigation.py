@@ -56,7 +56,7 @@ def test_equals_brute_force_over_all_segments(seed):
     track = Track(x, y, rng.uniform(3, 9, n))
     px, py = rng.uniform(x.min(), x.max(), 300), rng.uniform(y.min(), y.max(), 300)
     seen = track.locate(px, py)
-    x, y, _ = track._extended()
+    x, y, _ = track._extended
     dx, dy = np.diff(x), np.diff(y)
     t = ((px[:, None] - x[:-1]) * dx + (py[:, None] - y[:-1]) * dy) / (dx**2 + dy**2)
     t = np.clip(t, 0, 1)
