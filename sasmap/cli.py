@@ -119,7 +119,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    from sasmap.pipeline import describe, make_plan
+    from sasmap.plan import describe, make_plan
 
     for line in describe(make_plan(load_survey(options.survey))):
         print(line)

@@ -77,6 +77,24 @@ class SedimentSettings(_Block):
         | Annotated[int, Field(ge=1, le=250)]
         | Annotated[tuple[ClassSettings, ...], Field(min_length=1)]
     ) = Field("auto", description="auto, a number, or a list of named classes with training")
+    model: Name | None = Field(
+        None, description="sediment_classes.json of another run, whose classes are taken instead"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.model is not None and "classes" in self.model_fields_set:
+            raise ValueError("expected classes or model, not both")
+        if isinstance(self.classes, tuple):
+            names = [c.name for c in self.classes]
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise ValueError(
+                    f"classes: expected a name of its own for each, got {twice[0]!r} twice"
+                )
+            if len(names) > 250:
+                raise ValueError("classes: expected at most 250")
+        return self
 
 
 class Survey(_Block):

@@ -16,6 +16,7 @@ SEDIMENT_PRODUCTS = (
     "sediment_class.tif.aux.xml",
     "sediment_confidence.tif",
     "sediment_boundaries.gpkg",
+    "sediment_classes.json",
 )
 MANIFEST = "run.json"
 PRODUCTS = frozenset({*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS, MANIFEST})

@@ -1,35 +1,50 @@
-"""The sediment map of a survey: looks read in bands of cells, classes from a sample of them.
+"""The sediment map of a survey: looks read cell by cell, classes from a sample of them.
 
 Amplitudes are laid on the survey's own pixels. Where a cell is rippled its amplitude is taken over
 the ripples' modelled relief, so that troughs are no sediment of their own and shadow is none.
+Everything of the map's size lies on disk; memory does not grow with the survey.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import json
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, fields
+from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
-import dask
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.sediments.mapping import Line, refine_map
-from sasmap.sediments.segmentation import Classes, Look, class_map, find_classes, log_likelihoods
+from sasmap.errors import InputError
+from sasmap.products.canvas import Canvas
+from sasmap.sediments.classmap import class_map, log_likelihoods
+from sasmap.sediments.fitting import FAMILIES, Law
+from sasmap.sediments.mapping import Line, paint, refined, traced
+from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
+from sasmap.sediments.trends import BLOCK, Look
+from sasmap.threads import mapped
 
 FloatArray = NDArray[np.float64]
+Read = Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
 
-# Pixels, of all looks, from which classes are found; and rows of a neighbouring band that decide
-# with a band's own.
-SAMPLE = 6_000_000
-HALO = 32
+# Pixels, of all looks, from which classes are found, and cells they come from at most.
+SAMPLE, SAMPLED_CELLS = 6_000_000, 100
+# Pixels a side of the blocks that are classified at once, and around them that decide with them.
+SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
 STEP, DEEPEST = 0.1, 12.7
+# Steps of the probability that is kept.
+PROBABILITY = 0.002
 # Modelled amplitude, over that of flat sea floor, below which there is shadow.
 SHADOW = 0.25
+FORMAT = "sasmap sediment classes 1"
 
 
-class Bands(NamedTuple):
+class Ground(NamedTuple):
     """How a survey is read.
 
     Attributes
@@ -47,27 +62,54 @@ class Bands(NamedTuple):
     columns: int
     window: int
     looks: int
-    read: Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
+    read: Read
 
-    def band(self, row: int, workers: int | None) -> list[Look]:
-        """One row of cells, all looks (window, columns * window)."""
-        shape = (self.window, self.columns * self.window)
-        found = [Look(np.full(shape, np.nan), np.full(shape, np.nan)) for _ in range(self.looks)]
-        places = [(c, k) for c in range(self.columns) for k in range(self.looks)]
-        tasks = [dask.delayed(self.read, pure=False)(row, c, k) for c, k in places]
-        parts = dask.compute(*tasks, scheduler="threads", num_workers=workers)
-        for (column, k), part in zip(places, parts, strict=True):
-            if part is not None:
-                where = slice(column * self.window, (column + 1) * self.window)
-                found[k].amplitude[:, where], found[k].ground_range[:, where] = part
-        return found
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Pixels of the map."""
+        return self.rows * self.window, self.columns * self.window
+
+    def cell(self, row: int, column: int) -> list[Look]:
+        """All looks at a cell; NaN where there is none."""
+        none = np.full((self.window, self.window), np.nan)
+        parts = (self.read(row, column, k) for k in range(self.looks))
+        return [Look(none, none) if part is None else Look(*part) for part in parts]
+
+
+class Known(NamedTuple):
+    """Classes that are known beforehand.
+
+    Attributes
+    ----------
+    names : tuple of str
+    marks : callable or None
+        ``marks(row, column)`` gives the class known at each pixel of a cell, 0 for none.
+    cells : tuple of (row, column)
+        That have marks.
+    laws : tuple of Law
+        Of another survey; empty where they are to be learned from the marks.
+    centre : float
+        Log of the ground range at which they hold.
+    """
+
+    names: tuple[str, ...]
+    marks: Callable[[int, int], NDArray[np.uint8]] | None = None
+    cells: tuple[tuple[int, int], ...] = ()
+    laws: tuple[Law, ...] = ()
+    centre: float = 0.0
 
 
 class Quantised:
     """Log likelihoods of one class, kept in a byte each; slices are nats."""
 
-    def __init__(self, values: NDArray[np.int8]) -> None:
+    def __init__(self, values: Any) -> None:
         self.values = values
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.values.shape
+        return rows, columns
 
     def __getitem__(self, part: Any) -> NDArray[np.float32]:
         """Return nats of a part of the map."""
@@ -76,25 +118,22 @@ class Quantised:
 
 @dataclass(frozen=True)
 class SedimentMap:
-    """A survey's sediments.
+    """A survey's sediments; the rasters last until the canvases are closed.
 
     Attributes
     ----------
-    label : ndarray of uint8 (rows, columns)
-    confidence : ndarray of float32 (rows, columns)
+    label : Canvas of uint8 (rows, columns)
+    confidence : Canvas of float32 (rows, columns)
     lines : tuple of Line
     classes : Classes
+    names : tuple of str
     """
 
-    label: NDArray[np.uint8]
-    confidence: NDArray[np.float32]
+    label: Canvas
+    confidence: Canvas
     lines: tuple[Line, ...]
     classes: Classes
-
-    @property
-    def names(self) -> list[str]:
-        """Of the classes, by rising intensity."""
-        return [f"class {i + 1}" for i in range(len(self.classes.laws))]
+    names: tuple[str, ...]
 
     def table(self, pixel_area: float) -> list[dict[str, Any]]:
         """Class by class what ``run.json`` says.
@@ -108,7 +147,10 @@ class SedimentMap:
         -------
         list of dict
         """
-        pixels = np.bincount(self.label.ravel(), minlength=len(self.names) + 1)
+        pixels = np.zeros(256, np.int64)
+        for top in range(0, self.label.shape[0], SIDE):
+            part = self.label[slice(top, top + SIDE)]
+            pixels += np.bincount(part.ravel(), minlength=256)
         first = self.classes.laws[0].mean_square
         return [
             {
@@ -124,74 +166,168 @@ class SedimentMap:
         ]
 
 
-def map_sediments(bands: Bands, count: int | None, workers: int | None) -> SedimentMap | None:
-    """Find classes, map them and refine their boundaries.
+def map_sediments(
+    ground: Ground,
+    count: int | None,
+    known: Known | None,
+    workers: int | None,
+    scratch: Path,
+    stack: ExitStack,
+) -> SedimentMap | None:
+    """Find or learn classes, map them and refine their boundaries.
 
     Parameters
     ----------
-    bands : Bands
+    ground : Ground
     count : int or None
         Classes; found where None.
+    known : Known or None
+        Classes with training, or of another survey.
     workers : int or None
-        Threads that read.
+        Threads.
+    scratch : Path
+        Folder of the rasters in the making.
+    stack : ExitStack
+        Closes them.
 
     Returns
     -------
     SedimentMap or None
         None where no look shows the floor.
+
+    Raises
+    ------
+    ValueError
+        Where training shows too few pixels.
     """
-    sample = {row: bands.band(row, workers) for row in _sampled_rows(bands)}
-    looks = _stacked(list(sample.values()))
+
+    def canvas(name: str, dtype: str) -> Canvas:
+        return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
+
+    classes = _classes(ground, count, known, workers)
+    if classes is None:
+        return None
+    number = len(classes.laws)
+    kept = [canvas(f"likelihood{k}", "int8") for k in range(number)]
+    seen, label = canvas("seen", "uint8"), canvas("label", "uint8")
+    confidence = canvas("confidence", "float32")
+
+    def weigh(place: tuple[int, int]) -> None:
+        part = _pixels_of(place, ground.window)
+        found = log_likelihoods(ground.cell(*place), classes)
+        seen[part] = np.isfinite(found[0])
+        for layer, values in zip(kept, _quantised(found), strict=True):
+            layer[part] = values
+
+    def classify(place: tuple[int, int]) -> None:
+        _classify(place, seen, kept, label, confidence)
+
+    deque(mapped(weigh, product(range(ground.rows), range(ground.columns)), workers), 0)
+    rows, columns = ground.shape
+    deque(mapped(classify, product(range(0, rows, SIDE), range(0, columns, SIDE)), workers), 0)
+    layers = [Quantised(layer) for layer in kept]
+    lines = refined(traced(label), layers, workers)
+    final = canvas("final", "uint8")
+    for top in range(0, rows, SIDE):
+        final[slice(top, top + SIDE)] = label[slice(top, top + SIDE)]
+    paint(label, lines, final)
+    names = known.names if known else tuple(f"class {k + 1}" for k in range(number))
+    return SedimentMap(final, confidence, tuple(lines), classes, names)
+
+
+def _pixels_of(place: tuple[int, int], window: int) -> tuple[slice, slice]:
+    row, column = (v * window for v in place)
+    return slice(row, row + window), slice(column, column + window)
+
+
+def _classify(
+    place: tuple[int, int], seen: Any, kept: Sequence[Any], label: Any, confidence: Any
+) -> None:
+    """Classify one block of pixels, with those around it in view."""
+    top, left = place
+    bottom, right = min(top + SIDE, seen.shape[0]), min(left + SIDE, seen.shape[1])
+    part = (
+        slice(max(top - HALO, 0), min(bottom + HALO, seen.shape[0])),
+        slice(max(left - HALO, 0), min(right + HALO, seen.shape[1])),
+    )
+    there = seen[part] > 0
+    likelihood = np.stack([Quantised(layer)[part] for layer in kept])
+    likelihood[:, ~there] = np.nan
+    found = class_map(likelihood)
+    inner = (
+        slice(top - part[0].start, bottom - part[0].start),
+        slice(left - part[1].start, right - part[1].start),
+    )
+    where = slice(top, bottom), slice(left, right)
+    label[where] = found.label[inner]
+    confidence[where] = np.rint(found.probability[inner] / PROBABILITY) * PROBABILITY
+
+
+def _classes(
+    ground: Ground, count: int | None, known: Known | None, workers: int | None
+) -> Classes | None:
+    """Classes from a sample of the survey; None where that shows nothing."""
+    cells, side = _sampled(ground, known)
+    read = list(mapped(lambda place: ground.cell(*place), cells, workers))
+    width = int(np.ceil(np.sqrt(len(cells))))
+    whole = side == ground.window and len(cells) == ground.rows * ground.columns
+    width = ground.columns if whole else width
+    looks = [
+        Look(*(_laid([cell[k][i] for cell in read], side, width, whole) for i in range(2)))
+        for k in range(ground.looks)
+    ]
     if not any(np.isfinite(look.amplitude).any() for look in looks):
         return None
-    classes = find_classes(looks, count)
-    del looks
+    if known is None:
+        return find_classes(looks, count)
+    if known.laws:
+        return carry_over(looks, known.laws, known.centre)
+    assert known.marks is not None
+    marks = _laid([known.marks(*place) for place in cells], side, width, whole)
+    return train_classes(looks, np.nan_to_num(marks).astype(np.uint8), len(known.names))
 
-    def likelihoods(row: int) -> NDArray[np.float32]:
-        read = sample.pop(row, None)
-        return log_likelihoods(read or bands.band(row, workers), classes)
 
-    shape = (bands.rows * bands.window, bands.columns * bands.window)
-    label = np.zeros(shape, np.uint8)
-    confidence = np.full(shape, np.nan, np.float32)
-    kept = np.zeros((len(classes.laws), *shape), np.int8)
-    ahead = likelihoods(0)
-    behind = ahead[:, :0]
-    for row in range(bands.rows):
-        here = ahead
-        last = row + 1 == bands.rows
-        ahead = here[:, :0] if last else likelihoods(row + 1)
-        around = np.concatenate([behind[:, -HALO:], here, ahead[:, :HALO]], axis=1)
-        found = class_map(around)
-        above = behind[:, -HALO:].shape[1]
-        inside = slice(above, above + bands.window)
-        where = slice(row * bands.window, (row + 1) * bands.window)
-        label[where], confidence[where] = found.label[inside], found.probability[inside]
-        kept[:, where] = _quantised(here)
-        behind = here
-    refined = refine_map(label, [Quantised(layer) for layer in kept])
-    return SedimentMap(refined.label, confidence, refined.lines, classes)
+def _sampled(ground: Ground, known: Known | None) -> tuple[list[tuple[int, int]], int]:
+    """Choose cells that speak for the survey, and pixels a side of what is taken of each."""
+    every = [(r, c) for r in range(ground.rows) for c in range(ground.columns)]
+    first = _thinned(list(known.cells), SAMPLED_CELLS) if known else []
+    rest = _thinned([c for c in every if c not in set(first)], SAMPLED_CELLS)
+    cells = sorted({*first, *rest}) if len(every) > SAMPLED_CELLS else every
+    most = int(np.sqrt(SAMPLE / (len(cells) * ground.looks)))
+    if ground.window <= most:
+        return cells, ground.window
+    if known and known.marks is not None:  # marks may lie anywhere in a cell
+        many = max(int(SAMPLE // (ground.window**2 * ground.looks)), 4)
+        return sorted({*_thinned(first, many), *_thinned(rest, many // 2)}), ground.window
+    return cells, min(max(most // BLOCK, 4) * BLOCK, ground.window)
+
+
+def _thinned(cells: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+    """Evenly thin a list."""
+    if len(cells) <= most:
+        return cells
+    return [cells[int(k)] for k in np.unique(np.linspace(0, len(cells) - 1, most).round())]
+
+
+def _laid(parts: Sequence[NDArray[Any]], side: int, width: int, whole: bool) -> FloatArray:
+    """Lay the middles of cells side by side; apart, unless they are the whole survey."""
+    seam = 0 if whole else BLOCK
+    step = side + seam
+    height = -(-len(parts) // width)
+    result = np.full((height * step, width * step), np.nan)
+    for i, part in enumerate(parts):
+        first = (part.shape[0] - side) // 2
+        row, column = (v * step for v in divmod(i, width))
+        result[row : row + side, column : column + side] = part[
+            first : first + side, first : first + side
+        ]
+    return result
 
 
 def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
     level = np.nan_to_num(likelihood)
     below = np.maximum(level - level.max(axis=0), -DEEPEST)
     return np.asarray(np.rint(below / STEP), np.int8)
-
-
-def _sampled_rows(bands: Bands) -> list[int]:
-    """Evenly spread rows of cells: all, where they are few."""
-    each = bands.window**2 * bands.columns * bands.looks
-    many = int(np.clip(SAMPLE // each, 1, bands.rows))
-    if many == bands.rows:
-        return list(range(bands.rows))
-    spread = np.linspace(0, bands.rows - 1, many + 2)[1:-1]
-    return [int(row) for row in np.unique(spread.round())]
-
-
-def _stacked(read: list[list[Look]]) -> list[Look]:
-    """Lay bands of cells one below the other, look by look."""
-    return [Look(*map(np.vstack, zip(*parts, strict=True))) for parts in zip(*read, strict=True)]
 
 
 def levelled(amplitude: FloatArray, relief: FloatArray | None) -> FloatArray:
@@ -211,3 +347,71 @@ def levelled(amplitude: FloatArray, relief: FloatArray | None) -> FloatArray:
         return amplitude
     known = np.where(np.isfinite(relief), relief, 1.0)
     return np.asarray(np.where(known < SHADOW, np.nan, amplitude / np.maximum(known, SHADOW)))
+
+
+def model_text(found: SedimentMap) -> str:
+    """Write a survey's classes as JSON, for other surveys to take over.
+
+    Parameters
+    ----------
+    found : SedimentMap
+
+    Returns
+    -------
+    str
+    """
+    content = {
+        "format": FORMAT,
+        "reference_range_m": float(np.exp(found.classes.centre)),
+        "classes": [
+            {"name": name, **asdict(law)}
+            for name, law in zip(found.names, found.classes.laws, strict=True)
+        ],
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def read_model(path: Path) -> Known:
+    """Read the classes of another survey.
+
+    Parameters
+    ----------
+    path : Path
+        ``sediment_classes.json`` of its output folder.
+
+    Returns
+    -------
+    Known
+
+    Raises
+    ------
+    InputError
+        Where the file is missing or is not such a file.
+    """
+    expected = "expected sediment_classes.json of another run"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r}")
+        laws = tuple(_law(one) for one in content["classes"])
+        names = tuple(str(one["name"]) for one in content["classes"])
+        reach = float(content["reference_range_m"])
+        if not laws or not 0 < reach < np.inf or len(laws) > 250:
+            raise ValueError("no classes, or no range")
+        return Known(names, laws=laws, centre=float(np.log(reach)))
+    except OSError as error:
+        raise InputError(f"{path}: {expected}: {error.strerror or error}") from None
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: {expected}: {' '.join(str(error).split())}") from None
+
+
+def _law(content: dict[str, Any]) -> Law:
+    values = {f.name: content[f.name] for f in fields(Law)}
+    law = Law(**{**values, "errors": tuple(values["errors"])})
+    numbers = (law.scale, law.mean_square)
+    shaped = law.family in ("rayleigh", "rice") or law.shape > 0
+    if law.family not in FAMILIES or not shaped or not all(0 < v < np.inf for v in numbers):
+        raise ValueError("a law that is none")
+    if not 0 <= law.kappa < np.inf:
+        raise ValueError("kappa: expected at least 0")
+    return law

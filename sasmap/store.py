@@ -33,6 +33,11 @@ class Store:
     output: Path
 
     @property
+    def folder(self) -> Path:
+        """Folder of what is kept between runs."""
+        return self.output / FOLDER
+
+    @property
     def scratch(self) -> Path:
         """Folder of unfinished files; never read, emptied by the next run."""
         return self.output / FOLDER / "unfinished"
@@ -55,32 +60,43 @@ class Store:
 
     def model_path(self, key: str) -> Path:
         """Where the modelled amplitude of a cell is kept."""
-        return self.path(key).with_suffix(".npy")
+        return self.path(key).with_suffix(".npz")
 
-    def save_model(self, key: str, model: NDArray[np.float32], relief: NDArray[np.float32]) -> None:
-        """Keep a cell's modelled amplitude (before the result itself, which completes it).
+    def save_model(
+        self, key: str, model: NDArray[np.float32] | None, relief: NDArray[np.float32]
+    ) -> None:
+        """Keep a cell's modelled amplitude over that of flat sea floor, and itself where wanted.
 
-        And the same over flat sea floor's.
+        Before the result, which completes it.
         """
+        layers: dict[str, NDArray[Any]] = {"relief": relief.astype(np.float16)}
+        if model is not None:
+            layers["model"] = model
         with written_whole(self.model_path(key), self.scratch) as part, part.open("wb") as file:
-            np.save(file, np.stack([model, relief]))
+            np.savez(file, allow_pickle=False, **layers)
 
     def load_model(self, key: str) -> NDArray[np.float32]:
         """Return a cell's modelled amplitude."""
-        return np.asarray(np.load(self.model_path(key))[0], np.float32)
+        return self._layer(key, "model")
 
     def load_relief(self, key: str) -> NDArray[np.float32]:
         """Return a cell's modelled amplitude over that of flat sea floor."""
-        return np.asarray(np.load(self.model_path(key))[1], np.float32)
+        return self._layer(key, "relief")
+
+    def _layer(self, key: str, name: str) -> NDArray[np.float32]:
+        with np.load(self.model_path(key), allow_pickle=False) as layers:
+            return np.asarray(layers[name], np.float32)
 
     def clear(self) -> None:
         """Forget all finished work."""
+        for path in self.folder.glob("*.json"):
+            path.unlink(missing_ok=True)
         for path in (self.output / FOLDER / "cells").glob("*/*.*"):
             path.unlink(missing_ok=True)
 
     def remove_leftovers(self) -> None:
         """Remove what an interrupted run left unfinished."""
-        for path in self.scratch.glob("*.part"):
+        for path in self.scratch.glob("*"):
             path.unlink(missing_ok=True)
 
 

@@ -15,7 +15,8 @@ from rio_cogeo import cog_validate
 
 import sasmap
 from sasmap.cli import main
-from sasmap.pipeline import make_plan, run_survey
+from sasmap.pipeline import run_survey
+from sasmap.plan import make_plan
 from tests.helpers import small_survey, write_tile
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data"

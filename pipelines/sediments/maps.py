@@ -18,10 +18,11 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
+import ruptures
 from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
-from skimage.segmentation import morphological_chan_vese, random_walker, watershed
+from skimage.segmentation import felzenszwalb, morphological_chan_vese, random_walker, watershed
 
 from sasmap.sediments import k_distribution
 from sasmap.sediments.boundaries import (
@@ -31,9 +32,11 @@ from sasmap.sediments.boundaries import (
     window_likelihoods,
     window_ratios,
 )
+from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import refine_map, traced
 from sasmap.sediments.nodes import refine_boundary
-from sasmap.sediments.segmentation import Look, class_map, find_classes, log_likelihoods
+from sasmap.sediments.segmentation import find_classes
+from sasmap.sediments.trends import Look
 
 LEVELS, NUS = (1.0, 2.2, 0.4, 4.5, 1.1), (50.0, 4.0, 20.0, 1.0, 1.0)
 WEAK = (1.0, 1.75, 3.1)
@@ -133,12 +136,19 @@ def peers() -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         first = uniform_filter(ratio, 33) > 0
         return np.asarray(morphological_chan_vese(ratio, 60, init_level_set=first, smoothing=3) > 0)
 
+    def joined(ratio: np.ndarray) -> np.ndarray:
+        smooth = uniform_filter(ratio, 5)
+        parts = felzenszwalb(smooth, scale=400, sigma=1.5, min_size=400, channel_axis=None)
+        total = np.bincount(parts.ravel(), ratio.ravel())
+        return np.asarray(total[parts] > 0)
+
     return {
         "windows of 17": lambda ratio: uniform_filter(ratio, 17) > 0,
         "windows of 33": lambda ratio: uniform_filter(ratio, 33) > 0,
         "Chan-Vese": contoured,
         "random walker": walked,
         "watershed": flooded,
+        "felzenszwalb": joined,
     }
 
 
@@ -195,9 +205,15 @@ def rows_of(seed: int, rows: int = 200, columns: int = 300) -> list[float]:
         best_positions(left, right),
     ]
     guess = np.column_stack([np.arange(rows)[::-1], np.full(rows, columns / 2)])
+    changes = [breakpoint_of(row) for row in left - right]
     nodes = refine_boundary(guess, left - right, reach=25).points[::-1]
     followed = np.interp(np.arange(rows), nodes[:, 0], nodes[:, 1]) + 0.5
-    return [float(np.abs(way - edge).mean()) for way in [*ways, followed]]
+    return [float(np.abs(way - edge).mean()) for way in [*ways, changes, followed]]
+
+
+def breakpoint_of(row: np.ndarray) -> int:
+    """Where ruptures parts a row of log likelihood ratios in two."""
+    return int(ruptures.Binseg(model="l2", min_size=5, jump=1).fit(row).predict(n_bkps=1)[0])
 
 
 def main() -> None:
@@ -228,7 +244,7 @@ def main() -> None:
             ]
             print(f"  {kind}: " + ", ".join(parts), flush=True)
         errors = np.array(list(pool.map(rows_of, range(options.images))))
-        names = ("Z", "Z'", "filtered Z'", "whole rows", "nodes")
+        names = ("Z", "Z'", "filtered Z'", "whole rows", "ruptures", "nodes")
         print("\nG's experiment, mean error along rows, pixels: ", end="")
         print(", ".join(f"{n} {e:.2f}" for n, e in zip(names, errors.mean(axis=0), strict=True)))
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from affine import Affine
-from numpy.typing import NDArray
 
 from sasmap.products.geopackage import Feature, write_boundaries
-from sasmap.products.rasters import CLASS_COLOURS, Category, Layer, as_bands, float_layer, write_cog
+from sasmap.products.rasters import CLASS_COLOURS, Category, Layer, float_layer, write_large_cog
 from sasmap.sediments.mapping import Line
 
 # More classes take them again, darker.
@@ -19,8 +19,8 @@ COLOURS = (*CLASS_COLOURS, (140, 140, 140))
 
 def write_sediments(
     folder: Path,
-    label: NDArray[np.uint8],
-    confidence: NDArray[np.float32],
+    label: Any,
+    confidence: Any,
     lines: Sequence[Line],
     names: Sequence[str],
     transform: Affine,
@@ -33,9 +33,9 @@ def write_sediments(
     Parameters
     ----------
     folder : Path
-    label : ndarray of uint8 (rows, columns)
-        1 for the first class, 0 for nodata.
-    confidence : ndarray (rows, columns)
+    label : array of uint8 (rows, columns)
+        1 for the first class, 0 for nodata; read in stripes, as is `confidence`.
+    confidence : array (rows, columns)
     lines : sequence of Line
     names : sequence of str
         Of the classes.
@@ -57,10 +57,10 @@ def write_sediments(
         categories[i + 1] = Category(name, (red, green, blue, 255))
     written = [folder / "sediment_class.tif"]
     layer = Layer(["sediment class"], [""], 0, "uint8", categories, tags)
-    write_cog(written[0], as_bands(label), layer, transform, crs, scratch)
+    write_large_cog(written[0], label, layer, transform, crs, scratch)
     written.append(folder / "sediment_confidence.tif")
     layer = float_layer(["probability of the class"], ["1"], tags)
-    write_cog(written[1], as_bands(confidence), layer, transform, crs, scratch)
+    write_large_cog(written[1], confidence, layer, transform, crs, scratch)
     written.append(folder / "sediment_boundaries.gpkg")
     step = float(np.sqrt(abs(transform.determinant)))
     features = [_feature(line, names, transform, step) for line in lines]

@@ -90,6 +90,8 @@ class Clip:
 
 
 def _filled(coordinate: xr.DataArray, array: xr.DataArray) -> FloatArray:
+    if coordinate.dims == array.dims:
+        return np.asarray(coordinate.values, float)
     wide = coordinate.broadcast_like(array).transpose(*array.dims)
     return np.asarray(wide.values, float)
 

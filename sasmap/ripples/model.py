@@ -7,17 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.fit import Fit
 from sasmap.ripples.fold import fold_plan
-from sasmap.ripples.image import Image
+from sasmap.ripples.image import BoolArray, Image
 from sasmap.ripples.kernel import pulses
 from sasmap.ripples.pixels import spread_boxes, unfold_pixels
 
 FloatArray = NDArray[np.float64]
 
 DRAWS = 40
+# Amplitude over that of flat sea floor, noise aside, below which there is shadow.
+SHADOW = 0.3
+# Pixels along crests, and across them at most, over which a patch's edge is told.
+NARROW, WIDEST = 9, 201
 # Mean amplitude of speckle over the root of its mean intensity.
 RAYLEIGH = float(np.sqrt(np.pi) / 2)
 
@@ -30,7 +35,7 @@ class Modelled(NamedTuple):
     amplitude : ndarray
         In the clip's units.
     relief : ndarray
-        The same over that of flat sea floor there; 0 in shadow but for noise.
+        The same over that of flat sea floor there; 0 in shadow.
     """
 
     amplitude: FloatArray
@@ -59,7 +64,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
         return Modelled(result, relief)
     every = draws.reshape(-1, draws.shape[-1])
     chosen = every[:: max(len(every) // DRAWS, 1)]
-    mean, over = np.mean([_both(theta, fit) for theta in chosen], axis=0)
+    mean, over, lit = np.mean([_levels(theta, fit) for theta in chosen], axis=0)
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
@@ -67,14 +72,45 @@ def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
     plan, _, _ = fold_plan(image, whole, fit.reference)
     cycles = whole.cycles(image.shape)
     amplitude = unfold_pixels(known, cycles, plan, mean)
-    relief[known] = unfold_pixels(known, cycles, plan, over)[known]
+    above = unfold_pixels(known, cycles, plan, over)
     trend = np.sqrt(spread_boxes(fit.trend, phase.box, image.shape))
+    known &= _borne_out(image, trend, above, known, image.per_pixel(phase.wave))
+    dark = unfold_pixels(known, cycles, plan, lit) < SHADOW
+    relief[known] = np.where(dark, 0.0, above)[known]
     result[known] = RAYLEIGH * image.rms * amplitude[known] * trend[known]
     return Modelled(result, relief)
 
 
-def _both(theta: FloatArray, fit: Fit) -> FloatArray:
-    """Amplitude of blocks and bins, and that over flat sea floor's (2, blocks, bins)."""
+def _levels(theta: FloatArray, fit: Fit) -> FloatArray:
+    """Amplitude of blocks and bins, that over flat sea floor's, and that without noise.
+
+    (3, blocks, bins)
+    """
     pulse, _, gain = pulses(theta, fit.data)
-    flat = gain[:, None] * (fit.data.flat + np.exp(theta[4]))
-    return np.asarray(np.sqrt(np.stack([pulse, pulse / np.maximum(flat, 1e-300)])))
+    noise = np.exp(theta[4])
+    over = pulse / np.maximum(gain[:, None] * (fit.data.flat + noise), 1e-300)
+    lit = np.maximum(pulse / gain[:, None] - noise, 0.0) / np.maximum(fit.data.flat, 1e-300)
+    return np.asarray(np.sqrt(np.stack([pulse, over, lit])))
+
+
+def _borne_out(
+    image: Image, trend: FloatArray, above: FloatArray, known: BoolArray, cycles: FloatArray
+) -> BoolArray:
+    """Where ripples tell the image better than flat sea floor does, over a wavelength around.
+
+    The boxes in which ripples were found are coarser than the edges of a rippled patch.
+    """
+    there = known & image.valid
+    square = np.where(there, np.maximum(above, 1e-3) ** 2, 1.0)
+    power = np.where(there, image.power / np.maximum(trend, 1e-9) ** 2, 0.0)
+    along = int(np.argmax(np.abs(cycles)))  # of columns and rows, those that crests run across
+    size = [NARROW, NARROW]
+    size[1 - along] = int(np.clip(np.ceil(1 / np.abs(cycles[along])), NARROW, WIDEST))
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(uniform_filter(values, size, mode="constant"))
+
+    share = np.maximum(mean(there.astype(float)), 1e-9)
+    flat = np.log(np.maximum(mean(power) / share, 1e-300))
+    rippled = np.log(np.maximum(mean(power / square) / share, 1e-300))
+    return np.asarray(flat - rippled - mean(np.log(square)) / share > 0)

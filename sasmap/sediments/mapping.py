@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from sasmap.sediments.nodes import Boundary, normals, refine_boundary
+from sasmap.threads import mapped
 
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 # Pixels beside a contour at which its two classes are looked up, and the shortest line, in pixels.
 BESIDE, SHORTEST = 1.0, 24.0
-# Pixels around a line that its refinement reads, and within which the map is painted anew.
-MARGIN = 40
+# Pixels around a line within which the map is painted anew.
 PAINTED = 14.0
+# Rows of a map that are traced at once, points around which it is read, nodes of a painted piece.
+STRIPE, READ, PIECE = 1024, 512, 16
 
 
 class Line(NamedTuple):
@@ -44,6 +47,23 @@ class RefinedMap(NamedTuple):
     lines: tuple[Line, ...]
 
 
+class Ratio:
+    """Log likelihood of one class over another's, slice by slice."""
+
+    def __init__(self, first: Any, second: Any) -> None:
+        self._first, self._second = first, second
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self._first.shape
+        return rows, columns
+
+    def __getitem__(self, part: Any) -> FloatArray:
+        """Return nats of a part of the map."""
+        return np.asarray(self._first[part] - self._second[part], float)
+
+
 def refine_map(label: Labels, likelihood: Sequence[Any]) -> RefinedMap:
     """Trace the boundaries of a class map, refine each, and paint the map to agree with them.
 
@@ -59,19 +79,49 @@ def refine_map(label: Labels, likelihood: Sequence[Any]) -> RefinedMap:
     RefinedMap
         Without lines where there is one class.
     """
-    lines = []
-    for left, right, points, closed in traced(label):
-        lines.append(Line(left, right, _refined(points, likelihood, left, right, closed)))
-    return RefinedMap(painted(label, lines), tuple(lines))
+    lines = refined(traced(label), likelihood)
+    result = label.copy()
+    paint(label, lines, result)
+    return RefinedMap(result, tuple(lines))
 
 
-def traced(label: Labels) -> Iterator[tuple[int, int, FloatArray, bool]]:
+def refined(
+    found: Iterable[tuple[int, int, FloatArray, bool]],
+    likelihood: Sequence[Any],
+    workers: int | None = 1,
+) -> list[Line]:
+    """Refine traced lines.
+
+    Parameters
+    ----------
+    found : iterable of (left, right, points, closed)
+        Of :func:`traced`.
+    likelihood : sequence of array (rows, columns)
+        One a class; only slices are read, from several threads.
+    workers : int, optional
+        Threads.
+
+    Returns
+    -------
+    list of Line
+        In the order of `found`.
+    """
+
+    def one(line: tuple[int, int, FloatArray, bool]) -> Line:
+        left, right, points, closed = line
+        ratio = Ratio(likelihood[left - 1], likelihood[right - 1])
+        return Line(left, right, refine_boundary(points, ratio, closed=closed))
+
+    return list(mapped(one, found, workers))
+
+
+def traced(label: Any) -> Iterator[tuple[int, int, FloatArray, bool]]:
     """Trace the lines where two classes meet, each once; they end at junctions and at nodata.
 
     Parameters
     ----------
-    label : ndarray of uint8 (rows, columns)
-        0 where there is none.
+    label : array of uint8 (rows, columns)
+        0 where there is none; read in stripes.
 
     Yields
     ------
@@ -81,9 +131,8 @@ def traced(label: Labels) -> Iterator[tuple[int, int, FloatArray, bool]]:
         Row and column.
     closed : bool
     """
-    for k in np.unique(label[label > 0])[:-1]:
-        for contour in find_contours(np.pad((label == k).astype(float), 1), 0.5):
-            points = contour - 1
+    for k in _classes_of(label)[:-1]:
+        for points in _outlines(label, k):
             closed = bool((points[0] == points[-1]).all())
             points = points[:-1] if closed else points
             if len(points) < 3:
@@ -101,17 +150,72 @@ def traced(label: Labels) -> Iterator[tuple[int, int, FloatArray, bool]]:
                     yield left, right, line, whole
 
 
-def _sides(label: Labels, points: FloatArray, closed: bool) -> tuple[Labels, Labels]:
+def _stripes(label: Any) -> Iterator[slice]:
+    for top in range(0, label.shape[0], STRIPE):
+        yield slice(top, min(top + STRIPE, label.shape[0]))
+
+
+def _classes_of(label: Any) -> list[int]:
+    """Numbers of the classes on a map, rising."""
+    there = np.zeros(256, bool)
+    for part in _stripes(label):
+        there[np.unique(label[part])] = True
+    return [int(k) for k in np.flatnonzero(there) if k > 0]
+
+
+def _outlines(label: Any, k: int) -> list[FloatArray]:
+    """Trace a class's closed outlines, the map's edge included; stripes share a row of pixels."""
+    rows = label.shape[0]
+    pieces = []
+    for top in range(-1, rows, STRIPE):
+        bottom = min(top + STRIPE, rows)
+        part = label[max(top, 0) : min(bottom + 1, rows)] == k
+        part = np.pad(part, ((int(top < 0), int(bottom == rows)), (1, 1)))
+        for contour in find_contours(part.astype(float), 0.5) if part.any() else ():
+            pieces.append(contour + np.array([top, -1]))
+    return _joined(pieces)
+
+
+def _joined(pieces: list[FloatArray]) -> list[FloatArray]:
+    """Join pieces of outlines that end where another begins."""
+    begins = {tuple(p[0]): i for i, p in enumerate(pieces)}
+    used = np.zeros(len(pieces), bool)
+    whole = []
+    for i in range(len(pieces)):
+        if used[i]:
+            continue
+        chain: list[FloatArray] = []
+        at = i
+        while not used[at]:
+            used[at] = True
+            chain.append(pieces[at][1:] if chain else pieces[at])
+            at = begins.get(tuple(pieces[at][-1]), at)
+        whole.append(np.concatenate(chain))
+    return whole
+
+
+def _sides(label: Any, points: FloatArray, closed: bool) -> tuple[Labels, Labels]:
     """Classes left and right of each point of a way."""
     across = normals(points, closed) * BESIDE
     found = []
     for sign in (-1, 1):
-        row, column = np.rint(points + sign * across).astype(int).T
-        inside = (row >= 0) & (row < label.shape[0]) & (column >= 0) & (column < label.shape[1])
-        values = np.zeros(len(points), label.dtype)
-        values[inside] = label[row[inside], column[inside]]
+        place = np.rint(points + sign * across).astype(int)
+        values = np.zeros(len(points), np.uint8)
+        for first in range(0, len(points), READ):
+            values[first : first + READ] = _looked_up(label, place[first : first + READ])
         found.append(values)
     return found[0], found[1]
+
+
+def _looked_up(label: Any, place: NDArray[np.int64]) -> Labels:
+    inside = ((place >= 0) & (place < label.shape)).all(axis=1)
+    result = np.zeros(len(place), np.uint8)
+    if inside.any():
+        low, high = place[inside].min(axis=0), place[inside].max(axis=0) + 1
+        part = label[low[0] : high[0], low[1] : high[1]]
+        row, column = (place[inside] - low).T
+        result[inside] = part[row, column]
+    return result
 
 
 def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[np.int64], bool]]:
@@ -139,44 +243,82 @@ def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[n
         first = int(end)
 
 
-def _refined(
-    points: FloatArray, likelihood: Sequence[Any], left: int, right: int, closed: bool
-) -> Boundary:
-    low = np.maximum(np.floor(points.min(axis=0)).astype(int) - MARGIN, 0)
-    high = np.ceil(points.max(axis=0)).astype(int) + MARGIN + 1
-    part = (slice(low[0], high[0]), slice(low[1], high[1]))
-    ratio = likelihood[left - 1][part] - likelihood[right - 1][part]
-    found = refine_boundary(points - low, ratio.astype(float), closed=closed)
-    return Boundary(found.points + low, found.sd, found.closed, found.rounds)
-
-
-def painted(label: Labels, lines: list[Line]) -> Labels:
+def paint(label: Any, lines: Sequence[Line], result: Any) -> None:
     """Paint a map to agree with refined lines: near one, each side is its class.
 
     Parameters
     ----------
-    label : ndarray of uint8 (rows, columns)
-    lines : list of Line
-
-    Returns
-    -------
-    ndarray of uint8 (rows, columns)
-        Changed only where one of a line's own two classes was.
+    label : array of uint8 (rows, columns)
+    lines : sequence of Line
+    result : array of uint8 (rows, columns)
+        What `label` holds; changed where one of a line's own two classes was.
     """
-    result = label.copy()
     for line in lines:
         nodes = line.boundary.points
-        low = np.maximum(np.floor(nodes.min(axis=0) - PAINTED).astype(int), 0)
-        high = np.minimum(np.ceil(nodes.max(axis=0) + PAINTED).astype(int) + 1, label.shape)
-        row, column = np.mgrid[low[0] : high[0], low[1] : high[1]]
-        place = np.column_stack([row.ravel(), column.ravel()]).astype(float)
-        away, nearest = cKDTree(nodes).query(place, distance_upper_bound=PAINTED)
-        mine = np.isin(label[row, column].ravel(), [line.left, line.right]) & np.isfinite(away)
-        if not line.boundary.closed:  # beyond its ends a line says nothing
-            mine &= (nearest > 0) & (nearest < len(nodes) - 1)
         across = normals(nodes, line.boundary.closed)
-        nearest = np.minimum(nearest, len(nodes) - 1)
-        side = ((place - nodes[nearest]) * across[nearest]).sum(axis=1)
-        value = np.where(side < 0, line.left, line.right)
-        result[row.ravel()[mine], column.ravel()[mine]] = value[mine]
-    return result
+        tree = cKDTree(nodes)
+        for first in range(0, len(nodes), PIECE):
+            _paint_piece(label, line, across, tree, (first, min(first + PIECE, len(nodes))), result)
+
+
+def _paint_piece(
+    label: Any, line: Line, across: FloatArray, tree: Any, piece: tuple[int, int], result: Any
+) -> None:
+    """Paint the pixels whose nearest node is one of a piece of a line."""
+    nodes = line.boundary.points
+    mine = nodes[slice(*piece)]
+    low = np.maximum(np.floor(mine.min(axis=0) - PAINTED).astype(int), 0)
+    high = np.minimum(np.ceil(mine.max(axis=0) + PAINTED).astype(int) + 1, label.shape)
+    part = slice(low[0], high[0]), slice(low[1], high[1])
+    if (high <= low).any():
+        return
+    reach = float(np.hypot(*(high - low))) + PAINTED
+    near = np.sort(np.array(tree.query_ball_point((low + high) / 2, reach), np.int64))
+    last = len(nodes) - 1 if not line.boundary.closed else len(nodes)
+    first = 0 if line.boundary.closed else 1  # beyond its ends a line says nothing
+    side = sides_of(
+        low.astype(float),
+        (int(high[0] - low[0]), int(high[1] - low[1])),
+        (nodes[near], across[near], near),
+        (max(piece[0], first), min(piece[1], last)),
+        PAINTED,
+    )
+    before = label[part]
+    here = ((before == line.left) | (before == line.right)) & (side != 0)
+    if here.any():
+        values = np.asarray(result[part])
+        result[part] = np.where(here, np.where(side < 0, line.left, line.right), values)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sides_of(corner, shape, line, piece, reach):  # type: ignore[no-untyped-def]
+    """Side of a line (-1 left, 1 right) that pixels lie on; 0 where another piece is nearer.
+
+    Parameters
+    ----------
+    corner : ndarray (2,)
+        Row and column of the first pixel.
+    shape : tuple of int
+        Rows and columns.
+    line : tuple of ndarray
+        Nodes (n, 2), normals (n, 2) and numbers (n,) of nodes.
+    piece : tuple of int
+        First number, and the one after the last.
+    reach : float
+        Farthest node, pixels.
+    """
+    nodes, across, numbers = line
+    side = np.zeros(shape, np.int8)
+    for r in range(shape[0]):
+        for c in range(shape[1]):
+            row, column = corner[0] + r, corner[1] + c
+            best, at = reach * reach, -1
+            for i in range(len(nodes)):
+                away = (row - nodes[i, 0]) ** 2 + (column - nodes[i, 1]) ** 2
+                if away < best:
+                    best, at = away, i
+            if at >= 0 and piece[0] <= numbers[at] < piece[1]:
+                offset = (row - nodes[at, 0]) * across[at, 0]
+                offset += (column - nodes[at, 1]) * across[at, 1]
+                side[r, c] = -1 if offset < 0.0 else 1
+    return side

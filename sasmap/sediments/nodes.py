@@ -10,8 +10,9 @@ deviation is that of its marginal posterior (forward and backward).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, map_coordinates
@@ -27,6 +28,8 @@ LINES, ALONG = 4, 0.5
 # Widths of the prior tried: pixels by which one node moves beyond the next (standard deviation).
 WIDTHS = (0.25, 0.5, 1.0, 2.0)
 ROUNDS, STILL = 12, 0.3
+# Nodes around which pixels are read at once.
+READ = 128
 # Reaches from its guess at which a curve has gone astray.
 ASTRAY = 1.5
 # Nodes over which the last reference curve is smoothed (standard deviation).
@@ -55,7 +58,7 @@ class Boundary(NamedTuple):
 
 def refine_boundary(
     points: FloatArray,
-    ratio: FloatArray,
+    ratio: Any,
     *,
     closed: bool = False,
     spacing: float = SPACING,
@@ -67,9 +70,10 @@ def refine_boundary(
     ----------
     points : ndarray (n, 2)
         Row and column along a first guess, the left sediment to the left of the way (rows down).
-    ratio : ndarray (rows, columns)
+    ratio : array (rows, columns)
         log p_L / p_R of each pixel; NaN counts for nothing. Of correlated speckle, over the number
-        of pixels that one independent sample makes.
+        of pixels that one independent sample makes. Anything with a shape whose slices are arrays
+        will do: only what lies near the line is read.
     closed : bool
         Whether the last point is followed by the first.
     spacing, reach : float
@@ -85,13 +89,12 @@ def refine_boundary(
     ValueError
         Where there are fewer than two different points.
     """
-    image = np.nan_to_num(np.asarray(ratio, float))
     first = nodes = resampled(np.asarray(points, float), spacing, closed)
     places = np.arange(-reach, reach + 0.5 * STEP, STEP)
     rounds, moving = 0, True
     while moving and rounds < ROUNDS:
         rounds += 1
-        score = _scores(nodes, image, places, closed)
+        score = _scores(nodes, ratio, places, closed)
         width = _best_width(score)
         # where nothing tells, nodes stay
         moves = _best_path(score - 1e-3 * (places / reach) ** 2, width, closed)
@@ -104,7 +107,7 @@ def refine_boundary(
     # a curve that has followed the speckle tells nothing about how far it may stray: from a
     # smooth one the image decides that anew
     smooth = resampled(_smoothed(nodes, closed), spacing, closed)
-    score = _scores(smooth, image, places, closed)
+    score = _scores(smooth, ratio, places, closed)
     weight = _marginals(score, _best_width(score))
     mean = weight @ places
     sd = np.sqrt(np.maximum(weight @ places**2 - mean**2, (STEP**2) / 12))
@@ -177,7 +180,7 @@ def normals(nodes: FloatArray, closed: bool) -> FloatArray:
     return np.asarray(np.stack([way[:, 1], -way[:, 0]], axis=1) / length[:, None])
 
 
-def _scores(nodes: FloatArray, image: FloatArray, places: FloatArray, closed: bool) -> FloatArray:
+def _scores(nodes: FloatArray, ratio: Any, places: FloatArray, closed: bool) -> FloatArray:
     """Log likelihood of each place of each node (nodes, places), up to a constant a node."""
     normal = normals(nodes, closed)
     total = np.zeros((len(nodes), places.size))
@@ -186,13 +189,26 @@ def _scores(nodes: FloatArray, image: FloatArray, places: FloatArray, closed: bo
         origin = _between(nodes, line, closed)
         across = _between(normal, line, closed)
         at = origin[:, None] + fine[None, :, None] * across[:, None]
-        values = map_coordinates(image, [at[..., 0], at[..., 1]], order=1, mode="nearest")
+        values = np.concatenate(
+            [_sampled(ratio, at[k : k + READ]) for k in range(0, len(nodes), READ)]
+        )
         ends = np.concatenate([np.zeros((len(nodes), 1)), np.cumsum(values, axis=1)], axis=1)
         # to each place, what lies left of it
         passed = 0.5 * (ends[:, :-1] + ends[:, 1:])
         total += np.stack([np.interp(places, fine, row) for row in passed])
     area = _lengths(nodes, closed) * ALONG / LINES  # pixels that a point on a line stands for
     return np.asarray(total * area[:, None])
+
+
+def _sampled(ratio: Any, at: FloatArray) -> FloatArray:
+    """Values at places (..., 2), linear between pixels; beyond the edges those at the edges."""
+    rows, columns = ratio.shape
+    at = np.clip(at, 0, (rows - 1, columns - 1))
+    low = np.floor(at.min(axis=(0, 1))).astype(int)
+    high = np.ceil(at.max(axis=(0, 1))).astype(int) + 1
+    part = np.nan_to_num(np.asarray(ratio[low[0] : high[0], low[1] : high[1]], float))
+    where = np.moveaxis(at - low, -1, 0)
+    return np.asarray(map_coordinates(part, where, order=1, mode="nearest"))
 
 
 def _between(values: FloatArray, share: float, closed: bool) -> FloatArray:
@@ -230,25 +246,27 @@ def _best_width(score: FloatArray) -> float:
 
 
 def _forward(score: FloatArray, width: float) -> FloatArray:
-    link = np.exp(_link(score.shape[1], width))
+    first = score[0] - np.log(score.shape[1])
+    return np.asarray(_passed_on(score, first, np.exp(_link(score.shape[1], width))))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _passed_on(score, first, link):  # type: ignore[no-untyped-def]
+    """Add up, node by node, the log of all paths that lead to each place."""
     result = np.empty_like(score)
-    result[0] = score[0] - np.log(score.shape[1])
+    result[0] = first
     for i in range(1, len(score)):
         top = result[i - 1].max()
-        result[i] = score[i] + top + np.log(np.exp(result[i - 1] - top) @ link + 1e-300)
+        mass = np.exp(result[i - 1] - top) @ link
+        result[i] = score[i] + top + np.log(mass + 1e-300)
     return result
 
 
 def _marginals(score: FloatArray, width: float) -> FloatArray:
     """Posterior of each node's place (nodes, places)."""
-    ahead = _forward(score, width)
     link = np.exp(_link(score.shape[1], width))
-    behind = np.zeros_like(score)
-    for i in range(len(score) - 2, -1, -1):
-        level = behind[i + 1] + score[i + 1]
-        top = level.max()
-        behind[i] = top + np.log(link @ np.exp(level - top) + 1e-300)
-    both = ahead + behind
+    back = _passed_on(score[::-1].copy(), score[-1], link)[::-1]
+    both = _forward(score, width) + back - score  # each holds the node's own
     return np.asarray(np.exp(both - logsumexp(both, axis=1, keepdims=True)))
 
 
@@ -259,15 +277,28 @@ def _best_path(score: FloatArray, width: float, closed: bool) -> NDArray[np.int6
     """
     count = len(score)
     level = np.vstack([score, score, score]) if closed else score
-    link = _link(score.shape[1], width)
+    path = _followed(level, _link(score.shape[1], width))
+    return np.asarray(path[count : 2 * count] if closed else path)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _followed(level, link):  # type: ignore[no-untyped-def]
+    """Best path through the levels of places (nodes, places)."""
+    nodes, places = level.shape
     best = level[0].copy()
-    came = np.empty(level.shape, np.int64)
-    for i in range(1, len(level)):
-        paths = best[:, None] + link
-        came[i] = np.argmax(paths, axis=0)
-        best = paths[came[i], np.arange(link.shape[0])] + level[i]
-    path = np.empty(len(level), np.int64)
-    path[-1] = int(np.argmax(best))
-    for i in range(len(level) - 1, 0, -1):
+    came = np.empty((nodes, places), np.int64)
+    reached = np.empty(places)
+    for i in range(1, nodes):
+        for k in range(places):
+            top, at = -np.inf, 0
+            for j in range(places):
+                value = best[j] + link[j, k]
+                if value > top:
+                    top, at = value, j
+            reached[k], came[i, k] = top + level[i, k], at
+        best[:] = reached
+    path = np.empty(nodes, np.int64)
+    path[-1] = np.argmax(best)
+    for i in range(nodes - 1, 0, -1):
         path[i - 1] = came[i, path[i]]
-    return path[count : 2 * count] if closed else path
+    return path

@@ -1,68 +1,54 @@
-"""Sediment classes and their map: how many there are, their laws, and where each lies.
+"""Sediment classes: how many there are, and their amplitude laws.
 
 Blocks of pixels are described by mean and variance of their log amplitude, less the gain and range
 trend of the pass, and grouped by a Gaussian mixture; groups whose laws differ by too little a pixel
 are one sediment. Each class is then an amplitude law of its own
-(:func:`sasmap.sediments.fitting.choose`), and pixels are classified by the sum of log likelihoods
-over all looks, smoothed by a Potts field that does not smear edges (mean field).
-
-A trend over range and a boundary that runs along the track look alike to a single look; looks from
-two sides, or ranges, tell them apart.
+(:func:`sasmap.sediments.fitting.choose`). Classes may also be learned from pixels that are marked,
+or be those of another survey.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, distance_transform_edt, uniform_filter
-from scipy.ndimage import label as measure_label
+from scipy.ndimage import binary_erosion, uniform_filter
 
 from sasmap.gaussians import expectation_maximisation
 from sasmap.sediments.fitting import Law, choose, effective_samples
+from sasmap.sediments.trends import (
+    BLOCK,
+    Blocks,
+    Look,
+    block_statistics,
+    first_trends,
+    refit,
+    trend_of,
+)
 
 FloatArray = NDArray[np.float64]
 
-BLOCK = 16
-# Of a block's pixels, how many must be known.
-MIN_KNOWN = 0.6
 MOST_CLASSES = 8
 # Blocks differ from their neighbours' mean by less than so many standard deviations where they hold
 # one sediment.
 EVEN = 3.0
 # Mean log likelihood ratio a pixel (nats) by which laws must differ to be two sediments.
 APART = 0.02
-# Blocks apart, at most, of pairs that tell the range trend.
-LAGS = 4
-# How far slope and bend within classes may be from what those say (standard deviation).
-SLOPE_SD = (0.12, 0.3)
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
 SAMPLES = 60_000
-GRID = 1024
-# Potts field: pixels of its window, and its strength in nats where all neighbours agree.
-FIELD, STRENGTH, ROUNDS = 9, 9.0, 12
-FIRST_WINDOW = 13
-# Pixels of the smallest patch that the map shows.
-SMALLEST = 300
-
-
-class Look(NamedTuple):
-    """What one look shows, on the map's lattice.
-
-    Attributes
-    ----------
-    amplitude : ndarray (rows, columns)
-        NaN where there is none, or no sediment (shadow, water column).
-    ground_range : ndarray (rows, columns)
-        m.
-    """
-
-    amplitude: FloatArray
-    ground_range: FloatArray
+# Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
+# pixels that are marked alike where the block is.
+LEAST_SAMPLES, MARKED = 50, 0.9
+# Of another survey's classes: by how much this one's gain may differ (standard deviation of the log
+# amplitude: 3 dB), gains that are tried, rounds of a fit.
+GAIN_SD = 0.35
+GAINS = np.linspace(-1.5, 1.5, 13)
+GAIN_ROUNDS = 10
+# Scatter of blocks' mean and log variance about their class's.
+SCATTER = (0.05, 0.15)
 
 
 @dataclass(frozen=True)
@@ -72,7 +58,7 @@ class Classes:
     Attributes
     ----------
     laws : tuple of Law
-        By rising mean intensity, so that numbers are stable.
+        By rising mean intensity where they were found, so that numbers are stable.
     trends : ndarray (looks, 3)
         Log gain of each look, and its slope and bend with log range about `centre`.
     centre : float
@@ -89,16 +75,7 @@ class Classes:
     def log_trend(self, look: int, ground_range: FloatArray) -> FloatArray:
         """Log of the amplitude that a look's gain and range trend make."""
         t = np.log(np.maximum(ground_range, 1e-3)) - self.centre
-        return _trend(self.trends[look], t)
-
-
-class _Blocks(NamedTuple):
-    """Statistics of blocks of one look (block rows, block columns)."""
-
-    mean: FloatArray
-    variance: FloatArray
-    known: FloatArray
-    place: FloatArray
+        return trend_of(self.trends[look], t)
 
 
 def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
@@ -120,15 +97,13 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     ValueError
         Where no block of any look is known.
     """
-    centre = float(np.nanmean([np.nanmean(np.log(look.ground_range)) for look in looks]))
-    blocks = [_block_statistics(look, centre) for look in looks]
-    if not any((b.known > 0).any() for b in blocks):
-        raise ValueError("expected a block of known amplitudes")
-    first = trends = _first_trends(blocks)
+    centre = _centre(looks)
+    blocks = _blocks(looks, centre)
+    first = trends = first_trends(blocks)
     for _ in range(3):
         features, index = _features(blocks, trends)
         groups = _grouped(features, count or 1)
-        trends = _refit(blocks, groups, index, first)
+        trends = refit(blocks, groups, index, first)
     factor = _noise_factor(looks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
@@ -137,78 +112,141 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     return Classes(tuple(laws[i] for i in order), trends, centre, factor)
 
 
-def _block_statistics(look: Look, centre: float) -> _Blocks:
-    amplitude = look.amplitude
-    rows, columns = (n // BLOCK * BLOCK for n in amplitude.shape)
-    shape = (rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
-    known = np.isfinite(amplitude) & (amplitude > 0)
-    logs = np.log(np.where(known, amplitude, 1.0))[:rows, :columns].reshape(shape)
-    place = np.log(np.maximum(np.nan_to_num(look.ground_range, nan=1.0), 1e-3)) - centre
-    there = known[:rows, :columns].reshape(shape)
-    count = there.sum(axis=(1, 3)).astype(float)
-    total = np.maximum(count, 1)
-    mean = (logs * there).sum(axis=(1, 3)) / total
-    square = ((logs - mean[:, None, :, None]) ** 2 * there).sum(axis=(1, 3))
-    at = (place[:rows, :columns].reshape(shape) * there).sum(axis=(1, 3)) / total
-    enough = count >= MIN_KNOWN * BLOCK**2
-    return _Blocks(mean, square / total, np.where(enough, count, 0.0), at)
+def train_classes(looks: Sequence[Look], marks: NDArray[np.uint8], count: int) -> Classes:
+    """Learn classes from pixels at which they are known.
 
+    Parameters
+    ----------
+    looks : sequence of Look
+        On one lattice.
+    marks : ndarray of uint8 (rows, columns)
+        1 for the first class, 0 where none is known.
+    count : int
 
-def _first_trends(blocks: list[_Blocks]) -> FloatArray:
-    """Slope and bend of each look by its neighbouring blocks, gain by the blocks that two show."""
-    trends = np.zeros((len(blocks), 3))
-    for k, block in enumerate(blocks):
-        trends[k, 1:] = _slope(block)
-        level = block.mean - _trend(trends[k], block.place)
-        for j in range(k):
-            both = (block.known > 0) & (blocks[j].known > 0)
-            if both.any():
-                other = blocks[j].mean - _trend(trends[j], blocks[j].place)
-                trends[k, 0] = np.median(level[both] - other[both])
-                break
-    return trends
+    Returns
+    -------
+    Classes
+        In the order of their numbers.
 
-
-def _slope(block: _Blocks) -> FloatArray:
-    """Slope and bend of log amplitude with log range, by differences of near blocks.
-
-    Of most such pairs both blocks hold the same sediment; those that do not are told by their
-    residuals and count for little (Cauchy weights).
+    Raises
+    ------
+    ValueError
+        Where the looks show too few of a class's pixels; or no block at all.
     """
-    change, step, bend = [], [], []
-    for axis in (0, 1):
-        for lag in range(1, LAGS + 1):
-            first = [np.moveaxis(v, axis, 0)[lag:] for v in block]
-            second = [np.moveaxis(v, axis, 0)[:-lag] for v in block]
-            both = (first[2] > 0) & (second[2] > 0)
-            change.append((first[0] - second[0])[both])
-            step.append((first[3] - second[3])[both])
-            bend.append((first[3] ** 2 - second[3] ** 2)[both])
-    y = np.concatenate(change)
-    design = np.column_stack([np.concatenate(step), np.concatenate(bend)])
-    if y.size < 20:
-        return np.zeros(2)
-    found: FloatArray = np.zeros(2)
-    weight: FloatArray = np.ones(y.size)
-    for _ in range(30):
-        heavy = design * weight[:, None]
-        # what nothing tells stays at 0
-        found = np.asarray(
-            np.linalg.solve(heavy.T @ design + np.diag([1e-4, 1e-3]), heavy.T @ y), np.float64
-        )
-        rest = y - design @ found
-        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
-        weight = np.asarray(1 / (1 + (rest / scale) ** 2), np.float64)
-    return np.asarray(found)
+    centre = _centre(looks)
+    blocks = _blocks(looks, centre)
+    trends = first_trends(blocks)
+    labels = _marked_blocks(marks, count)
+    index = np.nonzero(labels >= 0)
+    if index[0].size:
+        _, groups = np.unique(labels[index], return_inverse=True)
+        trends = refit(blocks, groups, index, trends)
+    factor = _noise_factor(looks)
+    laws = []
+    for k in range(1, count + 1):
+        values = _pixels(looks, marks == k, trends, centre)
+        if values.size < LEAST_SAMPLES * factor:
+            raise ValueError(
+                f"class {k}: {values.size} known pixels are marked; expected at least "
+                f"{int(np.ceil(LEAST_SAMPLES * factor))}"
+            )
+        laws.append(choose(values, samples=values.size / factor).law)
+    return Classes(tuple(laws), trends, centre, factor)
+
+
+def _marked_blocks(marks: NDArray[np.uint8], count: int) -> NDArray[np.int64]:
+    """Class (from 0) of each block that is marked alike, -1 of others."""
+    rows, columns = (n // BLOCK for n in marks.shape)
+    parts = marks[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    share = np.stack([(parts == k).mean(axis=(1, 3)) for k in range(1, count + 1)])
+    return np.where(share.max(axis=0) >= MARKED, np.argmax(share, axis=0), -1)
+
+
+def carry_over(looks: Sequence[Look], laws: Sequence[Law], centre: float) -> Classes:
+    """Take another survey's classes: find each look's gain and range trend under them.
+
+    Parameters
+    ----------
+    looks : sequence of Look
+        On one lattice.
+    laws : sequence of Law
+    centre : float
+        Log of the ground range, m, at which they hold.
+
+    Returns
+    -------
+    Classes
+
+    Raises
+    ------
+    ValueError
+        Where no block of any look is known.
+    """
+    blocks = _blocks(looks, centre)
+    means, spreads = np.array([_log_moments(law) for law in laws]).T
+    first = first_trends(blocks)
+    best, best_score = first, -np.inf
+    for gain in GAINS:
+        trends = first + np.array([gain, 0.0, 0.0])
+        for _ in range(GAIN_ROUNDS):
+            groups, _ = _assigned(blocks, trends, means, spreads)
+            trends = refit(blocks, groups, np.nonzero(groups >= 0), first, means, GAIN_SD)
+        _, level = _assigned(blocks, trends, means, spreads)
+        score = level - 0.5 * float(trends[0, 0] / GAIN_SD) ** 2
+        if score > best_score:
+            best, best_score = trends, score
+    return Classes(tuple(laws), best, centre, _noise_factor(looks))
+
+
+def _log_moments(law: Law) -> tuple[float, float]:
+    """Mean and log variance of a law's log amplitude."""
+    t = np.log(law.mean_square) / 2 + np.linspace(-14, 5, 2000)
+    weight = np.exp(law.log_density(np.exp(t)) + t)
+    weight /= weight.sum()
+    mean = float(weight @ t)
+    return mean, float(np.log(weight @ (t - mean) ** 2))
+
+
+def _assigned(
+    blocks: list[Blocks], trends: FloatArray, means: FloatArray, spreads: FloatArray
+) -> tuple[NDArray[np.int64], float]:
+    """Class of each block, -1 where none is known, and the log likelihood of all."""
+    total = np.zeros((means.size, *blocks[0].mean.shape))
+    seen = np.zeros(blocks[0].mean.shape, bool)
+    for block, trend in zip(blocks, trends, strict=True):
+        known = block.known > 0
+        level = block.mean - trend_of(trend, block.place)
+        error = np.hypot(np.sqrt(block.variance / np.maximum(block.known, 1)), SCATTER[0])
+        spread = np.log(np.maximum(block.variance, 1e-6))
+        for k in range(means.size):
+            z = ((level - means[k]) / error) ** 2 + ((spread - spreads[k]) / SCATTER[1]) ** 2
+            total[k] += np.where(known, -0.5 * z - np.log(error), 0.0)
+        seen |= known
+    return np.where(seen, np.argmax(total, axis=0), -1), float(total.max(axis=0)[seen].sum())
+
+
+def _centre(looks: Sequence[Look]) -> float:
+    seen = [np.log(v[np.isfinite(v)]) for v in (look.ground_range for look in looks)]
+    known = [float(v.mean()) for v in seen if v.size]
+    if not known:
+        raise ValueError("expected a block of known amplitudes")
+    return float(np.mean(known))
+
+
+def _blocks(looks: Sequence[Look], centre: float) -> list[Blocks]:
+    blocks = [block_statistics(look, centre) for look in looks]
+    if not any((b.known > 0).any() for b in blocks):
+        raise ValueError("expected a block of known amplitudes")
+    return blocks
 
 
 def _features(
-    blocks: list[_Blocks], trends: FloatArray
+    blocks: list[Blocks], trends: FloatArray
 ) -> tuple[FloatArray, tuple[NDArray[np.int64], ...]]:
     """Mean and log variance of log amplitude of even blocks (n, 2), and where they are."""
     weight = np.sum([b.known for b in blocks], axis=0)
     level = np.sum(
-        [b.known * (b.mean - _trend(t, b.place)) for b, t in zip(blocks, trends, strict=True)],
+        [b.known * (b.mean - trend_of(t, b.place)) for b, t in zip(blocks, trends, strict=True)],
         axis=0,
     )
     spread = np.sum([b.known * b.variance for b in blocks], axis=0)
@@ -224,10 +262,6 @@ def _features(
         known = weight > 0
     index = np.nonzero(known)
     return np.column_stack([level[index], spread[index]]), index
-
-
-def _trend(trend: FloatArray, place: FloatArray) -> FloatArray:
-    return np.asarray(trend[0] + trend[1] * place + trend[2] * place * place)
 
 
 def _grouped(points: FloatArray, least: int) -> NDArray[np.int64]:
@@ -274,45 +308,14 @@ def _seeded(points: FloatArray, n: int) -> FloatArray:
     return np.asarray(np.eye(n)[near])
 
 
-def _refit(
-    blocks: list[_Blocks],
-    groups: NDArray[np.int64],
-    index: tuple[NDArray[np.int64], ...],
-    first: FloatArray,
-) -> FloatArray:
-    """Fit gain, slope and bend of each look to what its blocks have beyond their classes.
-
-    Not far from the first slopes, which no class can have bent.
-    """
-    count, size = int(groups.max()) + 1, 3 * len(blocks)
-    design, wanted, weight = [], [], []
-    for k, block in enumerate(blocks):
-        there = block.known[index] > 0
-        place = block.place[index][there]
-        columns = np.zeros((place.size, size + count))
-        columns[:, 3 * k : 3 * k + 3] = np.column_stack([np.ones(place.size), place, place**2])
-        columns[np.arange(place.size), size + groups[there]] = 1
-        design.append(columns)
-        wanted.append(block.mean[index][there])
-        error = np.sqrt(block.variance[index][there] / block.known[index][there])
-        weight.append(1 / np.hypot(error, 0.03))
-    stiff = np.zeros((size, size + count))
-    sd = np.tile([10.0, *SLOPE_SD], len(blocks))
-    sd[0] = 1e-6  # the first look's gain is the survey's
-    stiff[:, :size] = np.diag(1 / sd)
-    w = np.concatenate(weight)
-    matrix = np.vstack([np.vstack(design) * w[:, None], stiff])
-    right = np.concatenate([np.concatenate(wanted) * w, first.ravel() / sd])
-    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    return np.asarray(found[:size].reshape(-1, 3))
-
-
 def _noise_factor(looks: Sequence[Look]) -> float:
     """Pixels to one independent sample, by the middle of each look."""
     factors = []
     for look in looks:
-        known = np.isfinite(look.amplitude)
-        row, column = (int(np.median(v)) for v in np.nonzero(known))
+        rows, columns = np.nonzero(np.isfinite(look.amplitude))
+        if rows.size == 0:
+            continue
+        row, column = int(rows[rows.size // 2]), int(columns[rows.size // 2])
         part = look.amplitude[max(row - 64, 0) : row + 64, max(column - 64, 0) : column + 64]
         # texture and edges are longer than speckle: only what is near counts
         factors.append(np.isfinite(part).sum() / max(effective_samples(_whitened(part)), 1.0))
@@ -329,14 +332,13 @@ def _whitened(part: FloatArray) -> FloatArray:
 
 def _flattened(look: Look, trend: FloatArray, centre: float) -> FloatArray:
     place = np.log(np.maximum(look.ground_range, 1e-3)) - centre
-    return np.asarray(look.amplitude * np.exp(-_trend(trend, place)))
+    return np.asarray(look.amplitude * np.exp(-trend_of(trend, place)))
 
 
 def _pixels(
-    looks: Sequence[Look], labels: NDArray[np.int64], k: int, trends: FloatArray, centre: float
+    looks: Sequence[Look], mask: NDArray[np.bool_], trends: FloatArray, centre: float
 ) -> FloatArray:
-    """Amplitudes of a class's blocks, flattened; evenly thinned."""
-    mask = np.repeat(np.repeat(labels == k, BLOCK, axis=0), BLOCK, axis=1)
+    """Amplitudes of a class's pixels, flattened; evenly thinned."""
     rows, columns = mask.shape
     found = []
     for look, trend in zip(looks, trends, strict=True):
@@ -355,7 +357,8 @@ def _laws(
 ) -> list[Law]:
     laws = []
     for k in range(int(labels.max()) + 1):
-        values = _pixels(looks, labels, k, trends, centre)
+        mask = np.repeat(np.repeat(labels == k, BLOCK, axis=0), BLOCK, axis=1)
+        values = _pixels(looks, mask, trends, centre)
         if values.size:
             laws.append(choose(values, samples=values.size / factor).law)
     return laws
@@ -403,92 +406,3 @@ def separation(first: Law, second: Law) -> float:
             for i in range(2)
         )
     )
-
-
-def log_likelihoods(looks: Sequence[Look], classes: Classes) -> NDArray[np.float32]:
-    """Log likelihood of each class at each pixel, all looks together.
-
-    Parameters
-    ----------
-    looks : sequence of Look
-    classes : Classes
-
-    Returns
-    -------
-    ndarray (classes, rows, columns)
-        Of independent samples (over the noise factor); NaN where no look shows a pixel.
-    """
-    shape = looks[0].amplitude.shape
-    result = np.zeros((len(classes.laws), *shape), np.float32)
-    seen = np.zeros(shape, bool)
-    top = max(law.mean_square for law in classes.laws) ** 0.5
-    grid = np.linspace(np.log(1e-5 * top), np.log(50 * top), GRID)
-    tables = [law.log_density(np.exp(grid)) for law in classes.laws]
-    for i, look in enumerate(looks):
-        known = np.isfinite(look.amplitude) & (look.amplitude > 0)
-        logs = np.log(look.amplitude[known]) - classes.log_trend(i, look.ground_range[known])
-        for k, values in enumerate(tables):
-            result[k][known] += (np.interp(logs, grid, values) / classes.noise_factor).astype("f4")
-        seen |= known
-    result[:, ~seen] = np.nan
-    return result
-
-
-class ClassMap(NamedTuple):
-    """A sediment map.
-
-    Attributes
-    ----------
-    label : ndarray of uint8 (rows, columns)
-        1 for the first class; 0 where no look shows the floor.
-    probability : ndarray (rows, columns)
-        Of the class; NaN where there is none.
-    """
-
-    label: NDArray[np.uint8]
-    probability: NDArray[np.float32]
-
-
-def class_map(likelihood: NDArray[np.float32]) -> ClassMap:
-    """Classify pixels.
-
-    Parameters
-    ----------
-    likelihood : ndarray (classes, rows, columns)
-        Of :func:`log_likelihoods`.
-
-    Returns
-    -------
-    ClassMap
-    """
-    seen = np.isfinite(likelihood[0])
-    level = np.nan_to_num(likelihood - np.nan_to_num(likelihood).max(axis=0))
-    if len(level) == 1:
-        one = np.where(seen, 1.0, np.nan).astype(np.float32)
-        return ClassMap(seen.astype(np.uint8), one)
-    share = _softmax(np.stack([uniform_filter(v, FIRST_WINDOW) for v in level]) * FIRST_WINDOW**2)
-    for _ in range(ROUNDS):
-        field = np.stack([uniform_filter(np.where(seen, s, 0), FIELD) for s in share])
-        share = _softmax(level + STRENGTH * field / np.maximum(field.sum(axis=0), 1e-6))
-    label = _sieved(np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8))
-    return ClassMap(label, np.where(seen, share.max(axis=0), np.nan).astype(np.float32))
-
-
-def _sieved(label: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Give specks of a class, of too few pixels to tell it, to the class that is nearest."""
-    small = np.zeros(label.shape, bool)
-    for k in np.unique(label[label > 0]):
-        parts, _ = measure_label(label == k)
-        size = np.bincount(parts.ravel())
-        small |= (size < SMALLEST)[parts] & (parts > 0)
-    if not small.any() or (small | (label == 0)).all():
-        return label
-    nearest = distance_transform_edt(
-        small | (label == 0), return_distances=False, return_indices=True
-    )
-    return np.where(small, label[tuple(nearest)], label).astype(np.uint8)
-
-
-def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:
-    rest = np.exp(level - level.max(axis=0))
-    return np.asarray(rest / rest.sum(axis=0), np.float32)

@@ -134,8 +134,9 @@ LEAF = 4
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _tree(tx, ty):  # type: ignore[no-untyped-def]
-    """Halve a track's segments again and again: a binary heap of first and last, and how far its
-    vertices lie from the chord between the outer two.
+    """Halve a track's segments again and again.
+
+    A binary heap of first and last vertices, and how far those between lie from the chord.
     """
     size = 1
     while size * LEAF < 2 * (tx.size - 1):
@@ -147,24 +148,24 @@ def _tree(tx, ty):  # type: ignore[no-untyped-def]
         if last <= first:
             continue
         for v in range(first + 1, last):
-            away, _ = _distance(tx[v], ty[v], tx[first], ty[first], tx[last], ty[last])
-            deviation[k] = max(deviation[k], away)
+            square, _ = _square(tx[v], ty[v], tx[first], ty[first], tx[last], ty[last])
+            deviation[k] = max(deviation[k], np.sqrt(square))
         if last - first > LEAF and 2 * k + 1 < 2 * size:
             middle = (first + last) // 2
             ends[2 * k, 0], ends[2 * k, 1] = first, middle
             ends[2 * k + 1, 0], ends[2 * k + 1, 1] = middle, last
-    return ends, deviation
+    return ends, deviation + 1e-9
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _distance(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Distance of a point from a segment, and how far along it the nearest point lies (0 to 1)."""
+def _square(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """Squared distance of a point from a segment, and how far along (0 to 1) that is."""
     dx, dy = bx - ax, by - ay
-    square = dx * dx + dy * dy
-    t = ((x - ax) * dx + (y - ay) * dy) / square if square > 0.0 else 0.0
-    t = min(max(t, 0.0), 1.0)
+    length = dx * dx + dy * dy
+    along = (x - ax) * dx + (y - ay) * dy
+    t = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
     ex, ey = x - ax - t * dx, y - ay - t * dy
-    return np.sqrt(ex * ex + ey * ey), t
+    return ex * ex + ey * ey, t
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -176,25 +177,27 @@ def _locate(px, py, tx, ty, altitude, cx, cy, tree, out, starboard):  # type: ig
     for i in range(px.size):
         x, y = px[i], py[i]
         at = last  # the last point's segment is near this point too
-        best, along = _distance(x, y, tx[at], ty[at], tx[at + 1], ty[at + 1])
+        best, along = _square(x, y, tx[at], ty[at], tx[at + 1], ty[at + 1])
+        root = np.sqrt(best)
         stack[0], depth = 1, int(np.isfinite(best))
         while depth > 0:
             depth -= 1
             k = stack[depth]
             a, b = ends[k]
-            away, _ = _distance(x, y, tx[a], ty[a], tx[b], ty[b])
-            if away - deviation[k] - 1e-9 > best:
+            away, _ = _square(x, y, tx[a], ty[a], tx[b], ty[b])
+            if away > (root + deviation[k]) * (root + deviation[k]):
                 continue
             if 2 * k + 1 < ends.shape[0] and ends[2 * k, 1] > ends[2 * k, 0]:
                 stack[depth], stack[depth + 1] = 2 * k, 2 * k + 1
                 depth += 2
                 continue
             for s in range(a, b):
-                d, t = _distance(x, y, tx[s], ty[s], tx[s + 1], ty[s + 1])
+                d, t = _square(x, y, tx[s], ty[s], tx[s + 1], ty[s + 1])
                 if d < best or (d == best and s < at):
                     best, at, along = d, s, t
+                    root = np.sqrt(best)
         last = at
-        _see(i, x, y, tx, ty, altitude, cx, cy, best, at, along, out, starboard)
+        _see(i, x, y, tx, ty, altitude, cx, cy, root, at, along, out, starboard)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -136,7 +137,7 @@ def open_survey(survey: Survey) -> OpenSurvey:
             faults.extend(error.faults)
     if faults:
         raise InputError(dict.fromkeys(faults))
-    _check_output(survey, passes)
+    check_kept(survey, (f for p in passes for f in p.files))
     return OpenSurvey(survey, grid, tuple(passes), tuple(warnings))
 
 
@@ -171,10 +172,9 @@ def _is_product(survey: Survey, path: Path) -> bool:
     return inside and path.name in PRODUCTS
 
 
-def _check_output(survey: Survey, passes: list[SonarPass]) -> None:
+def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:
     """Refuse an output folder in which a product would replace an input."""
-    inputs = {f for p in passes for f in p.files}
-    for path in sorted(inputs | {survey.path}):
+    for path in sorted({*inputs, survey.path}):
         if _is_product(survey, path):
             raise InputError(f"{path}: a product of that name would replace this input; move one")
 

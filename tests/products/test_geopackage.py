@@ -1,7 +1,9 @@
 import sqlite3
 
 import numpy as np
+import pyogrio
 import pyproj
+import shapely
 
 from sasmap.products.geopackage import Feature, write_boundaries
 
@@ -17,7 +19,9 @@ def test_layer_holds_lines_with_their_classes(tmp_path):
     row = base.execute("SELECT geom, left, right, position_sd FROM boundaries").fetchone()
     assert row[1:] == ("sand", "mud", 0.25)
     assert row[0][:2] == b"GP"
-    np.testing.assert_array_equal(np.frombuffer(row[0][17:], "<f8").reshape(-1, 2), LINE.points)
+    about, _, shapes, _ = pyogrio.raw.read(path, layer="boundaries")
+    np.testing.assert_array_equal(shapely.get_coordinates(shapely.from_wkb(shapes)), LINE.points)
+    assert about["crs"] == "EPSG:32617"
     contents = base.execute("SELECT table_name, min_x, max_y, srs_id FROM gpkg_contents").fetchone()
     assert contents == ("boundaries", 500000.0, 3300005.0, 32617)
     assert base.execute("PRAGMA foreign_key_check").fetchall() == []

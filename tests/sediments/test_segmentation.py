@@ -2,9 +2,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sasmap.sediments import k_distribution
-from sasmap.sediments.mapping import painted, refine_map, traced
-from sasmap.sediments.segmentation import Look, class_map, find_classes, log_likelihoods, separation
+from sasmap.sediments import k_distribution, mapping
+from sasmap.sediments.classmap import class_map, log_likelihoods
+from sasmap.sediments.mapping import Line, paint, refine_map, traced
+from sasmap.sediments.nodes import Boundary
+from sasmap.sediments.segmentation import find_classes, separation
+from sasmap.sediments.trends import Look
 
 LEVELS, NUS = (1.0, 2.2, 0.4, 4.5), (50.0, 4.0, 20.0, 1.0)
 SIZE = 320
@@ -154,7 +157,47 @@ def test_painting_changes_no_third_class():
     label = np.ones((40, 60), np.uint8)
     label[:, 30:] = 2
     label[:10] = 3
-    assert (painted(label, [])[:10] == 3).all()
+    way = np.column_stack([np.linspace(39, -1, 11), np.full(11, 25.0)])
+    result = label.copy()
+    paint(label, [Line(1, 2, Boundary(way, np.full(11, 1.0), False, 1))], result)
+    assert (result[:10] == 3).all()
+    assert (result[14:36, 26:40] == 2).all()
+    assert (result[14:36, :25] == 1).all()
+
+
+def test_outlines_do_not_depend_on_stripes(monkeypatch):
+    label = regions("three").astype(np.uint8) + 1
+    label[40:70, 20:60] = 3
+    label[200:210, 250:] = 0
+    whole = list(traced(label))
+    monkeypatch.setattr(mapping, "STRIPE", 37)
+    parts = list(traced(label))
+    assert len(whole) == len(parts) > 3
+
+    def lines(found):
+        return sorted((left, right, sorted(map(tuple, points))) for left, right, points, _ in found)
+
+    assert lines(whole) == lines(parts)
+
+
+def test_map_reads_only_slices():
+    class Slices:
+        """An array of which only small slices may be read."""
+
+        def __init__(self, values):
+            self.values, self.shape = values, values.shape
+
+        def __getitem__(self, part):
+            assert isinstance(part[0], slice)
+            assert self.values[part].size < self.values.size
+            return self.values[part]
+
+    looks = looks_at(regions("wavy"), 5)
+    likelihood = log_likelihoods(looks, find_classes(looks))
+    found = class_map(likelihood)
+    whole = refine_map(found.label, likelihood)
+    read = refine_map(found.label, [Slices(layer) for layer in likelihood])
+    np.testing.assert_array_equal(whole.label, read.label)
 
 
 def test_separation_of_laws():

@@ -1,0 +1,112 @@
+"""What became of a run, and run.json that tells it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sasmap.plan import Plan
+from sasmap.productnames import MANIFEST
+from sasmap.products.files import write_text
+from sasmap.ripples.chain import Chain
+from sasmap.ripples.passes import Summary
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.store import Store, code_version
+
+
+@dataclass
+class Outcome:
+    """What became of a run."""
+
+    output: Path
+    cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
+    chains: dict[tuple[int, int], Chain] = field(default_factory=dict)
+    models: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
+    sediments: list[dict[str, Any]] = field(default_factory=list)
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    computed: int = 0
+    kept: int = 0
+    written: list[Path] = field(default_factory=list)
+
+    def counts(self) -> dict[str, int]:
+        """Cells by quality."""
+        labels = [chain.quality.label for chain in self.chains.values()]
+        return {q.label: labels.count(q.label) for q in Quality if q.label in labels}
+
+
+def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
+    """Write run.json."""
+    path = store.output / MANIFEST
+    outcome.written.append(path)
+    base = plan.settings.path.parent
+    content = {
+        "run_id": plan.run_id,
+        "survey": plan.settings.name,
+        "versions": _versions(),
+        "settings": plan.settings.model_dump(mode="json"),
+        "seed": plan.settings.seed,
+        "inputs": {_relative(f, base): value for f, value in plan.hashes.items()},
+        "grid": {
+            "rows": plan.opened.grid.rows,
+            "columns": plan.opened.grid.columns,
+            "cell_size_m": plan.opened.grid.size,
+        },
+        "cells_by_quality": outcome.counts(),
+        "looks_computed": outcome.computed,
+        "looks_kept_from_earlier_runs": outcome.kept,
+        "sediment_classes": outcome.sediments,
+        "failures": outcome.failures,
+        "warnings": list(plan.opened.warnings),
+        "left_out": [*plan.left_out, *_left_out_counts(outcome)],
+        "products": [p.name for p in outcome.written],
+        "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},
+    }
+    write_text(path, json.dumps(content, indent=2) + "\n", store.scratch)
+
+
+def _left_out_counts(outcome: Outcome) -> Iterator[str]:
+    every = [s for summaries in outcome.cells.values() for s in summaries if s is not None]
+    for flag in LeftOut:
+        count = sum(1 for s in every if flag in s.left_out)
+        if count:
+            name = str(flag.name).lower().replace("_", " ")
+            yield f"{name}: at {count} of {len(every)} looks at cells"
+
+
+def _relative(path: Path, base: Path) -> str:
+    try:
+        return str(path.relative_to(base))
+    except ValueError:
+        return os.path.relpath(path, base)
+
+
+def _versions() -> dict[str, str]:
+    names = ("numpy", "scipy", "numba", "rasterio", "xarray", "dask", "pyproj")
+    return {
+        "sasmap": code_version(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in names},
+    }
+
+
+class Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure what runs inside."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start

@@ -1,0 +1,175 @@
+"""What a run will do: looks, cells, files, and what the survey does not call for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sasmap.config import Survey
+from sasmap.sedimentmap import Known, read_model
+from sasmap.store import code_version, digest
+from sasmap.survey.cells import Cell
+from sasmap.survey.passes import (
+    OpenSurvey,
+    Side,
+    SonarPass,
+    check_kept,
+    open_survey,
+    tiles_of_cells,
+)
+from sasmap.survey.tiles import Tile, hash_file
+from sasmap.survey.training import Training, read_training
+
+
+class Look(NamedTuple):
+    """One side of one pass."""
+
+    sonar_pass: SonarPass
+    side: Side
+
+    @property
+    def label(self) -> str:
+        """The pass's name, with the side where the pass shows both."""
+        both = len(self.sonar_pass.sides) == 2
+        return f"{self.sonar_pass.name}:{self.side}" if both else self.sonar_pass.name
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will do.
+
+    Attributes
+    ----------
+    opened : OpenSurvey
+    looks : tuple of Look
+    cells : dict of Cell to tuple of int
+        The looks (indices) whose tiles meet each cell that any meet.
+    tiles : dict of str to dict of Cell to tuple of Tile
+        By pass, the tiles that may show each cell.
+    hashes : dict of Path to str
+        SHA-256 of every input file.
+    left_out : tuple of str
+        What the survey does not call for, and why.
+    training : tuple of Training
+        Where sediments are known; empty unless the survey says.
+    model : Known or None
+        Sediment classes of another survey.
+    """
+
+    opened: OpenSurvey
+    looks: tuple[Look, ...]
+    cells: dict[Cell, tuple[int, ...]]
+    tiles: dict[str, dict[Cell, tuple[Tile, ...]]]
+    hashes: dict[Path, str]
+    left_out: tuple[str, ...]
+    training: tuple[Training, ...] = ()
+    model: Known | None = None
+
+    @property
+    def settings(self) -> Survey:
+        """The survey's settings."""
+        return self.opened.settings
+
+    @property
+    def run_id(self) -> str:
+        """Hash of inputs, settings, code version and seed."""
+        # inputs count by what they hold, not by where they lie
+        places: Any = {"passes": {"__all__": {"tiles", "navigation"}}, "output": True}
+        settings = self.settings.model_dump(mode="json", exclude=places)
+        settings["sediments"] = self.sediment_settings
+        return digest([self._inputs(), settings, code_version()])[:16]
+
+    @property
+    def sediment_settings(self) -> list[Any] | None:
+        """Settings of the sediment map, files by what they hold."""
+        sediments = self.settings.sediments
+        if sediments is None:
+            return None
+        known = [[t.name, self.hashes[t.path]] for t in self.training]
+        model = None if sediments.model is None else self.hashes[self.model_path]
+        return [None if self.training else sediments.classes, known, model]
+
+    @property
+    def model_path(self) -> Path:
+        """File of another survey's sediment classes."""
+        sediments = self.settings.sediments
+        assert sediments is not None
+        assert sediments.model is not None
+        return self.settings.resolve(sediments.model)
+
+    def _inputs(self) -> list[list[str]]:
+        return [
+            [look.label, *(self.hashes[f] for f in look.sonar_pass.files)] for look in self.looks
+        ]
+
+
+def make_plan(survey: Survey) -> Plan:
+    """Open and check a survey, and list what would run.
+
+    Parameters
+    ----------
+    survey : Survey
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    InputError
+        With a line for every fault of the survey's files.
+    """
+    opened = open_survey(survey)
+    looks = tuple(Look(p, side) for p in opened.passes for side in p.sides)
+    tiles = {p.name: tiles_of_cells(p, opened.grid) for p in opened.passes}
+    cells = {
+        cell: tuple(k for k, look in enumerate(looks) if cell in tiles[look.sonar_pass.name])
+        for cell in sorted({cell for met in tiles.values() for cell in met})
+    }
+    training = read_training(survey, opened.grid)
+    files = {f for p in opened.passes for f in p.files} | {t.path for t in training}
+    model = None
+    if survey.sediments is not None and survey.sediments.model is not None:
+        path = survey.resolve(survey.sediments.model)
+        model = read_model(path)
+        files.add(path)
+    check_kept(survey, files)
+    hashes = {f: hash_file(f) for f in sorted(files)}
+    return Plan(opened, looks, cells, tiles, hashes, tuple(_left_out(survey)), training, model)
+
+
+def _left_out(survey: Survey) -> Iterator[str]:
+    if survey.ripples is None:
+        yield "ripples: the survey file has no ripples block"
+    if survey.sediments is None:
+        yield "sediments: the survey file has no sediments block"
+
+
+def tags_of(plan: Plan) -> dict[str, str]:
+    """Return the tags of a plan's products."""
+    return {
+        "SOFTWARE": f"sasmap {code_version()}",
+        "SURVEY": plan.settings.name,
+        "RUN_ID": plan.run_id,
+    }
+
+
+def describe(plan: Plan) -> Iterable[str]:
+    """Tell what a plan would run, a line each."""
+    grid = plan.opened.grid
+    looks = [len(k) for k in plan.cells.values()]
+    yield f"survey: {plan.settings.name}"
+    yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    for p in plan.opened.passes:
+        met = sum(any(plan.looks[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
+        sides = " and ".join(p.sides)
+        yield f"pass {p.name}: {len(p.tiles)} tiles, {sides}, {p.track.x.size} pings, {met} cells"
+    if plan.settings.ripples is not None:
+        method = plan.settings.ripples.method
+        yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+    for line in plan.left_out:
+        yield f"left out: {line}"
+    for line in plan.opened.warnings:
+        yield f"warning: {line}"

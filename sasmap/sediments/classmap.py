@@ -1,0 +1,112 @@
+"""Where each sediment class lies: likelihoods, a Potts field that does not smear edges, a sieve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import label as measure_label
+
+from sasmap.sediments.field import mean_field, table_sums, window_sums
+from sasmap.sediments.segmentation import Classes
+from sasmap.sediments.trends import Look
+
+GRID = 1024
+# Potts field: pixels of its window, and its strength in nats where all neighbours agree.
+FIELD, STRENGTH, ROUNDS = 9, 9.0, 12
+FIRST_WINDOW = 13
+# Pixels of the smallest patch that the map shows.
+SMALLEST = 300
+
+
+def log_likelihoods(looks: Sequence[Look], classes: Classes) -> NDArray[np.float32]:
+    """Log likelihood of each class at each pixel, all looks together.
+
+    Parameters
+    ----------
+    looks : sequence of Look
+    classes : Classes
+
+    Returns
+    -------
+    ndarray (classes, rows, columns)
+        Of independent samples (over the noise factor); NaN where no look shows a pixel.
+    """
+    shape = looks[0].amplitude.shape
+    result = np.zeros((len(classes.laws), *shape), np.float32)
+    flat = result.reshape(len(classes.laws), -1)
+    seen = np.zeros(shape, bool)
+    top = max(law.mean_square for law in classes.laws) ** 0.5
+    grid, step = np.linspace(np.log(1e-5 * top), np.log(50 * top), GRID, retstep=True)
+    table = np.stack([law.log_density(np.exp(grid)) for law in classes.laws])
+    for i, look in enumerate(looks):
+        known = np.isfinite(look.amplitude) & (look.amplitude > 0)
+        logs = np.log(look.amplitude[known]) - classes.log_trend(i, look.ground_range[known])
+        where = np.flatnonzero(known)
+        table_sums(logs, where, table, grid[0], float(step), 1 / classes.noise_factor, flat)
+        seen |= known
+    result[:, ~seen] = np.nan
+    return result
+
+
+class ClassMap(NamedTuple):
+    """A sediment map.
+
+    Attributes
+    ----------
+    label : ndarray of uint8 (rows, columns)
+        1 for the first class; 0 where no look shows the floor.
+    probability : ndarray (rows, columns)
+        Of the class; NaN where there is none.
+    """
+
+    label: NDArray[np.uint8]
+    probability: NDArray[np.float32]
+
+
+def class_map(likelihood: NDArray[np.float32]) -> ClassMap:
+    """Classify pixels.
+
+    Parameters
+    ----------
+    likelihood : ndarray (classes, rows, columns)
+        Of :func:`log_likelihoods`.
+
+    Returns
+    -------
+    ClassMap
+    """
+    seen = np.isfinite(likelihood[0])
+    level = np.nan_to_num(likelihood - np.nan_to_num(likelihood).max(axis=0))
+    if len(level) == 1:
+        one = np.where(seen, 1.0, np.nan).astype(np.float32)
+        return ClassMap(seen.astype(np.uint8), one)
+    share = np.empty_like(level)
+    window_sums(level, FIRST_WINDOW, share)
+    share = _softmax(share) * seen
+    mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
+    label = _sieved(np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8))
+    return ClassMap(label, np.where(seen, share.max(axis=0), np.nan).astype(np.float32))
+
+
+def _sieved(label: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Give specks of a class, of too few pixels to tell it, to the class that is nearest."""
+    small = np.zeros(label.shape, bool)
+    for k in np.unique(label[label > 0]):
+        parts, _ = measure_label(label == k)
+        size = np.bincount(parts.ravel())
+        small |= (size < SMALLEST)[parts] & (parts > 0)
+    if not small.any() or (small | (label == 0)).all():
+        return label
+    nearest = distance_transform_edt(
+        small | (label == 0), return_distances=False, return_indices=True
+    )
+    return np.where(small, label[tuple(nearest)], label).astype(np.uint8)
+
+
+def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:
+    rest = np.exp(level - level.max(axis=0))
+    return np.asarray(rest / rest.sum(axis=0), np.float32)

@@ -1,0 +1,173 @@
+"""Gain and range trend of each look, by blocks of pixels.
+
+A trend over range and a boundary that runs along the track look alike to a single look; looks from
+two sides, or ranges, tell them apart.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+BLOCK = 16
+# Of a block's pixels, how many must be known.
+MIN_KNOWN = 0.6
+# Blocks apart, at most, of pairs that tell the range trend.
+LAGS = 4
+# How far slope and bend within classes may be from what those say (standard deviation).
+SLOPE_SD = (0.12, 0.3)
+
+
+class Look(NamedTuple):
+    """What one look shows, on the map's lattice.
+
+    Attributes
+    ----------
+    amplitude : ndarray (rows, columns)
+        NaN where there is none, or no sediment (shadow, water column).
+    ground_range : ndarray (rows, columns)
+        m.
+    """
+
+    amplitude: FloatArray
+    ground_range: FloatArray
+
+
+class Blocks(NamedTuple):
+    """Statistics of blocks of one look (block rows, block columns)."""
+
+    mean: FloatArray
+    variance: FloatArray
+    known: FloatArray
+    place: FloatArray
+
+
+def block_statistics(look: Look, centre: float) -> Blocks:
+    """Gather log amplitudes by blocks, and log ranges about a centre."""
+    amplitude = look.amplitude
+    rows, columns = (n // BLOCK * BLOCK for n in amplitude.shape)
+    shape = (rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
+    known = np.isfinite(amplitude) & (amplitude > 0)
+    logs = np.log(np.where(known, amplitude, 1.0))[:rows, :columns].reshape(shape)
+    place = np.log(np.maximum(np.nan_to_num(look.ground_range, nan=1.0), 1e-3)) - centre
+    there = known[:rows, :columns].reshape(shape)
+    count = there.sum(axis=(1, 3)).astype(float)
+    total = np.maximum(count, 1)
+    mean = (logs * there).sum(axis=(1, 3)) / total
+    square = ((logs - mean[:, None, :, None]) ** 2 * there).sum(axis=(1, 3))
+    at = (place[:rows, :columns].reshape(shape) * there).sum(axis=(1, 3)) / total
+    enough = count >= MIN_KNOWN * BLOCK**2
+    return Blocks(mean, square / total, np.where(enough, count, 0.0), at)
+
+
+def first_trends(blocks: list[Blocks]) -> FloatArray:
+    """Slope and bend of each look by its neighbouring blocks, gain by the blocks that two show."""
+    trends = np.zeros((len(blocks), 3))
+    for k, block in enumerate(blocks):
+        trends[k, 1:] = _slope(block)
+        level = block.mean - trend_of(trends[k], block.place)
+        for j in range(k):
+            both = (block.known > 0) & (blocks[j].known > 0)
+            if both.any():
+                other = blocks[j].mean - trend_of(trends[j], blocks[j].place)
+                trends[k, 0] = np.median(level[both] - other[both])
+                break
+    return trends
+
+
+def _slope(block: Blocks) -> FloatArray:
+    """Slope and bend of log amplitude with log range, by differences of near blocks.
+
+    Of most such pairs both blocks hold the same sediment; those that do not are told by their
+    residuals and count for little (Cauchy weights).
+    """
+    change, step, bend = [], [], []
+    for axis in (0, 1):
+        for lag in range(1, LAGS + 1):
+            first = [np.moveaxis(v, axis, 0)[lag:] for v in block]
+            second = [np.moveaxis(v, axis, 0)[:-lag] for v in block]
+            both = (first[2] > 0) & (second[2] > 0)
+            change.append((first[0] - second[0])[both])
+            step.append((first[3] - second[3])[both])
+            bend.append((first[3] ** 2 - second[3] ** 2)[both])
+    y = np.concatenate(change)
+    design = np.column_stack([np.concatenate(step), np.concatenate(bend)])
+    if y.size < 20:
+        return np.zeros(2)
+    found: FloatArray = np.zeros(2)
+    weight: FloatArray = np.ones(y.size)
+    for _ in range(30):
+        heavy = design * weight[:, None]
+        # what nothing tells stays at 0
+        found = np.asarray(
+            np.linalg.solve(heavy.T @ design + np.diag([1e-4, 1e-3]), heavy.T @ y), np.float64
+        )
+        rest = y - design @ found
+        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
+        weight = np.asarray(1 / (1 + (rest / scale) ** 2), np.float64)
+    return np.asarray(found)
+
+
+def trend_of(trend: FloatArray, place: FloatArray) -> FloatArray:
+    """Log of the amplitude that a gain, slope and bend make at log ranges about the centre."""
+    return np.asarray(trend[0] + trend[1] * place + trend[2] * place * place)
+
+
+def refit(
+    blocks: list[Blocks],
+    groups: NDArray[np.int64],
+    index: tuple[NDArray[np.int64], ...],
+    first: FloatArray,
+    means: FloatArray | None = None,
+    gain_sd: float = 1e-6,
+) -> FloatArray:
+    """Fit gain, slope and bend of each look to what its blocks have beyond their classes.
+
+    Not far from the first slopes, which no class can have bent.
+
+    Parameters
+    ----------
+    blocks : list of Blocks
+    groups : ndarray of int
+        Class of each block of `index`; or of each block of the lattice.
+    index : tuple of ndarray
+        Rows and columns of the blocks that count.
+    first : ndarray (looks, 3)
+    means : ndarray (classes,), optional
+        Mean log amplitude of each class; fitted as well where not given.
+    gain_sd : float
+        Of the first look's gain, which is otherwise the survey's.
+
+    Returns
+    -------
+    ndarray (looks, 3)
+    """
+    groups = groups[index] if groups.ndim == 2 else groups
+    count, size = int(groups.max()) + 1, 3 * len(blocks)
+    design, wanted, weight = [], [], []
+    for k, block in enumerate(blocks):
+        there = block.known[index] > 0
+        place = block.place[index][there]
+        columns = np.zeros((place.size, size + count))
+        columns[:, 3 * k : 3 * k + 3] = np.column_stack([np.ones(place.size), place, place**2])
+        columns[np.arange(place.size), size + groups[there]] = 1
+        design.append(columns)
+        wanted.append(block.mean[index][there])
+        error = np.sqrt(block.variance[index][there] / block.known[index][there])
+        weight.append(1 / np.hypot(error, 0.03))
+    stiff = np.zeros((size, size + count))
+    sd = np.tile([10.0, *SLOPE_SD], len(blocks))
+    sd[0] = gain_sd
+    stiff[:, :size] = np.diag(1 / sd)
+    w = np.concatenate(weight)
+    matrix = np.vstack([np.vstack(design) * w[:, None], stiff])
+    right = np.concatenate([np.concatenate(wanted) * w, first.ravel() / sd])
+    if means is not None:
+        right -= matrix[:, size:] @ means[:count]
+        matrix = matrix[:, :size]
+    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    return np.asarray(found[:size].reshape(-1, 3))

@@ -1,0 +1,186 @@
+"""What a worker does: one look at one cell, from pixels to a finished result in the store."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sasmap.plan import Look, Plan
+from sasmap.products.model import on_cell
+from sasmap.ripples.chain import next_prior
+from sasmap.ripples.clip import Clip
+from sasmap.ripples.estimate import estimate
+from sasmap.ripples.passes import Summary, summarise
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.settings import RippleSettings
+from sasmap.sedimentmap import levelled
+from sasmap.store import Store, code_version, digest
+from sasmap.survey.cells import Cell
+from sasmap.survey.navigation import Track
+from sasmap.survey.passes import Side, read_clip
+
+MIN_VALID = 0.25
+
+
+class LookResult(NamedTuple):
+    """What became of one look at one cell: a summary, or why there is none."""
+
+    summary: Summary | None
+    fault: str | None
+    computed: bool
+    model: str | None = None  # key of the modelled amplitude in the store
+
+
+class Context(NamedTuple):
+    """What all tasks of a run share."""
+
+    plan: Plan
+    store: Store
+
+
+def run_look(context: Context, cell: Cell, k: int, earlier: list[LookResult]) -> LookResult:
+    """Estimate one look at one cell, or take its finished result. Never raises."""
+    try:
+        return _look(context, cell, k, [r.summary for r in earlier if r.summary is not None])
+    except Exception as error:  # one cell's fault must not end the survey
+        return LookResult(None, f"{type(error).__name__}: {error}", True)
+
+
+def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
+    plan, store = context
+    look = plan.looks[k]
+    settings, wanted = ripple_settings(plan), plan.settings.ripples
+    assert wanted is not None
+    prior = next_prior(earlier, settings)
+    key = _key(plan, cell, look, [prior.mean, prior.sd])
+    kept = store.load(key)
+    if kept is not None:
+        return LookResult(kept, None, False, _model_key(store, key))
+    clip = clip_of(plan, cell, look, look.side)
+    if clip is None:
+        summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
+    elif _shown(plan, cell, look, clip) < MIN_VALID:
+        summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
+    else:
+        rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
+        pixels = Clip.from_array(clip)
+        posterior = estimate(pixels, settings, rng=rng, prior=prior)
+        summary = summarise(posterior)
+        if posterior.model is not None and posterior.relief is not None:
+            place = plan.opened.grid, cell, plan.settings.window
+            model = on_cell(pixels, posterior.model, *place) if wanted.keep_model else None
+            store.save_model(key, model, on_cell(pixels, posterior.relief, *place))
+    store.save(key, summary)
+    return LookResult(summary, None, True, _model_key(store, key))
+
+
+def ripple_settings(plan: Plan) -> RippleSettings:
+    """Return settings of the estimates: the sediment map needs the ripples' modelled amplitude."""
+    settings = plan.settings.ripples
+    assert settings is not None
+    return settings.model_copy(
+        update={"keep_model": settings.keep_model or (plan.settings.sediments is not None)}
+    )
+
+
+def _model_key(store: Store, key: str) -> str | None:
+    return key if store.model_path(key).exists() else None
+
+
+def clip_of(plan: Plan, cell: Cell, look: Look, side: Side) -> xr.DataArray | None:
+    """Read what one side of a look's pass shows of a cell."""
+    tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
+    return read_clip(look.sonar_pass, plan.opened.grid, cell, side, tiles)
+
+
+def _shown(plan: Plan, cell: Cell, look: Look, clip: xr.DataArray) -> float:
+    """Fraction of a cell that a look's pass shows, its other side included if that matters."""
+
+    def fraction(part: xr.DataArray | None) -> float:
+        if part is None:
+            return 0.0
+        area = int(np.isfinite(part.values).sum()) * part.attrs["pixel_size"] ** 2
+        return float(area / plan.opened.grid.size**2)
+
+    shown = fraction(clip)
+    for side in look.sonar_pass.sides:
+        if side != look.side and shown < MIN_VALID:
+            shown += fraction(clip_of(plan, cell, look, side))
+    return shown
+
+
+def _seed(seed: int, look: Look, cell: Cell) -> np.random.SeedSequence:
+    # the pass by its name, so that a pass added or moved in the list changes no other
+    name = int(digest(look.label)[:16], 16)
+    return np.random.SeedSequence([seed, name, cell.row, cell.column])
+
+
+def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
+    grid, sonar_pass = plan.opened.grid, look.sonar_pass
+    tiles = plan.tiles[sonar_pass.name].get(cell, ())
+    return digest(
+        {
+            "code": code_version(),
+            "seed": plan.settings.seed,
+            "settings": ripple_settings(plan).model_dump(mode="json"),
+            "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
+            "cell": list(cell),
+            "pass": [look.label, look.side, sonar_pass.slant],
+            "tiles": [plan.hashes[tile.path] for tile in tiles],
+            "track": track_hash(sonar_pass.track),
+            "prior": repr(prior),
+        }
+    )
+
+
+@lru_cache(maxsize=1024)
+def track_hash(track: Track) -> str:
+    """Hash a track's positions and altitudes."""
+    state = hashlib.sha256()
+    for values in (track.x, track.y, track.altitude):
+        state.update(values.tobytes())
+    return state.hexdigest()
+
+
+def read_floor(
+    context: Context, cell: Cell, k: int, key: str | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Read amplitude, over that of ripples, and ground range on a cell's own pixels.
+
+    Parameters
+    ----------
+    context : Context
+    cell : Cell
+    k : int
+        Look.
+    key : str or None
+        Of the ripples' modelled amplitude.
+
+    Returns
+    -------
+    tuple of ndarray (window, window) or None
+        None where the look does not show the cell.
+
+    Raises
+    ------
+    OSError
+        Where a block of a tile cannot be decoded.
+    """
+    plan, store = context
+    look = plan.looks[k]
+    if k not in plan.cells.get(cell, ()):
+        return None
+    clip = clip_of(plan, cell, look, look.side)
+    if clip is None:
+        return None
+    pixels = Clip.from_array(clip)
+    place = plan.opened.grid, cell, plan.settings.window
+    known = np.where(pixels.valid, pixels.amplitude, np.nan)
+    amplitude, reach = (on_cell(pixels, v, *place) for v in (known, pixels.ground_range))
+    relief = store.load_relief(key).astype(float) if key is not None else None
+    return levelled(amplitude.astype(float), relief), reach.astype(float)
