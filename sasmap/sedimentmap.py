@@ -11,7 +11,7 @@ import json
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,7 +55,8 @@ class Ground(NamedTuple):
         Pixels a side of a cell.
     looks : int
     read : callable
-        ``read(row, column, look)`` gives amplitude and ground range (window, window), or None.
+        ``read(row, column, look)`` gives amplitude and cotangent of the grazing angle (window,
+        window), or None.
     """
 
     rows: int
@@ -89,7 +90,7 @@ class Known(NamedTuple):
     laws : tuple of Law
         Of another survey; empty where they are to be learned from the marks.
     centre : float
-        Log of the ground range at which they hold.
+        Log of the cotangent of the grazing angle at which they hold.
     """
 
     names: tuple[str, ...]
@@ -135,6 +136,13 @@ class SedimentMap:
     classes: Classes
     names: tuple[str, ...]
 
+    def pixels(self) -> NDArray[np.int64]:
+        """Count pixels by number of the class (256,)."""
+        total = np.zeros(256, np.int64)
+        for top in range(0, self.label.shape[0], SIDE):
+            total += np.bincount(self.label[slice(top, top + SIDE)].ravel(), minlength=256)
+        return total
+
     def table(self, pixel_area: float) -> list[dict[str, Any]]:
         """Class by class what ``run.json`` says.
 
@@ -147,10 +155,9 @@ class SedimentMap:
         -------
         list of dict
         """
-        pixels = np.zeros(256, np.int64)
-        for top in range(0, self.label.shape[0], SIDE):
-            part = self.label[slice(top, top + SIDE)]
-            pixels += np.bincount(part.ravel(), minlength=256)
+        pixels = self.pixels()
+        if not self.classes.laws:
+            return []
         first = self.classes.laws[0].mean_square
         return [
             {
@@ -208,7 +215,7 @@ def map_sediments(
     if classes is None:
         return None
     number = len(classes.laws)
-    kept = [canvas(f"likelihood{k}", "int8") for k in range(number)]
+    kept = [canvas(f"likelihood{k}", "int8") for k in range(len(classes.every))]
     seen, label = canvas("seen", "uint8"), canvas("label", "uint8")
     confidence = canvas("confidence", "float32")
 
@@ -220,7 +227,7 @@ def map_sediments(
             layer[part] = values
 
     def classify(place: tuple[int, int]) -> None:
-        _classify(place, seen, kept, label, confidence)
+        _classify(place, seen, kept, number, label, confidence)
 
     deque(mapped(weigh, product(range(ground.rows), range(ground.columns)), workers), 0)
     rows, columns = ground.shape
@@ -231,8 +238,30 @@ def map_sediments(
     for top in range(0, rows, SIDE):
         final[slice(top, top + SIDE)] = label[slice(top, top + SIDE)]
     paint(label, lines, final)
-    names = known.names if known else tuple(f"class {k + 1}" for k in range(number))
-    return SedimentMap(final, confidence, tuple(lines), classes, names)
+    if known is not None:
+        return SedimentMap(final, confidence, tuple(lines), classes, known.names)
+    return _without_empty(SedimentMap(final, confidence, tuple(lines), classes, ()))
+
+
+def _without_empty(found: SedimentMap) -> SedimentMap:
+    """Name classes, and number them without those that the sample held but the map does not."""
+    pixels = found.pixels()
+    there = [k for k in range(len(found.classes.laws)) if pixels[k + 1] > 0]
+    number = np.zeros(256, np.uint8)
+    number[[k + 1 for k in there]] = np.arange(1, len(there) + 1)
+    if len(there) < len(found.classes.laws):
+        for top in range(0, found.label.shape[0], SIDE):
+            part = slice(top, top + SIDE)
+            found.label[part] = number[found.label[part]]
+    # a line can only part classes that are on the map
+    lines = tuple(
+        line._replace(left=int(number[line.left]), right=int(number[line.right]))
+        for line in found.lines
+        if number[line.left] and number[line.right]
+    )
+    classes = replace(found.classes, laws=tuple(found.classes.laws[k] for k in there))
+    names = tuple(f"class {k + 1}" for k in range(len(there)))
+    return replace(found, lines=lines, classes=classes, names=names)
 
 
 def _pixels_of(place: tuple[int, int], window: int) -> tuple[slice, slice]:
@@ -241,7 +270,7 @@ def _pixels_of(place: tuple[int, int], window: int) -> tuple[slice, slice]:
 
 
 def _classify(
-    place: tuple[int, int], seen: Any, kept: Sequence[Any], label: Any, confidence: Any
+    place: tuple[int, int], seen: Any, kept: Sequence[Any], count: int, label: Any, confidence: Any
 ) -> None:
     """Classify one block of pixels, with those around it in view."""
     top, left = place
@@ -253,7 +282,7 @@ def _classify(
     there = seen[part] > 0
     likelihood = np.stack([Quantised(layer)[part] for layer in kept])
     likelihood[:, ~there] = np.nan
-    found = class_map(likelihood)
+    found = class_map(likelihood, count)
     inner = (
         slice(top - part[0].start, bottom - part[0].start),
         slice(left - part[1].start, right - part[1].start),
@@ -362,7 +391,7 @@ def model_text(found: SedimentMap) -> str:
     """
     content = {
         "format": FORMAT,
-        "reference_range_m": float(np.exp(found.classes.centre)),
+        "reference_cotangent": float(np.exp(found.classes.centre)),
         "classes": [
             {"name": name, **asdict(law)}
             for name, law in zip(found.names, found.classes.laws, strict=True)
@@ -395,9 +424,9 @@ def read_model(path: Path) -> Known:
             raise ValueError(f"format {content['format']!r}")
         laws = tuple(_law(one) for one in content["classes"])
         names = tuple(str(one["name"]) for one in content["classes"])
-        reach = float(content["reference_range_m"])
+        reach = float(content["reference_cotangent"])
         if not laws or not 0 < reach < np.inf or len(laws) > 250:
-            raise ValueError("no classes, or no range")
+            raise ValueError("no classes, or no angle")
         return Known(names, laws=laws, centre=float(np.log(reach)))
     except OSError as error:
         raise InputError(f"{path}: {expected}: {error.strerror or error}") from None

@@ -150,7 +150,7 @@ def track_hash(track: Track) -> str:
 def read_floor(
     context: Context, cell: Cell, k: int, key: str | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Read amplitude, over that of ripples, and ground range on a cell's own pixels.
+    """Read amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels.
 
     Parameters
     ----------
@@ -181,6 +181,7 @@ def read_floor(
     pixels = Clip.from_array(clip)
     place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    amplitude, reach = (on_cell(pixels, v, *place) for v in (known, pixels.ground_range))
+    cotangent = pixels.ground_range / pixels.altitude
+    amplitude, reach = (on_cell(pixels, v, *place) for v in (known, cotangent))
     relief = store.load_relief(key).astype(float) if key is not None else None
     return levelled(amplitude.astype(float), relief), reach.astype(float)

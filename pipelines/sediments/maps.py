@@ -136,9 +136,9 @@ def peers() -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         first = uniform_filter(ratio, 33) > 0
         return np.asarray(morphological_chan_vese(ratio, 60, init_level_set=first, smoothing=3) > 0)
 
-    def joined(ratio: np.ndarray) -> np.ndarray:
-        smooth = uniform_filter(ratio, 5)
-        parts = felzenszwalb(smooth, scale=400, sigma=1.5, min_size=400, channel_axis=None)
+    def joined(scale: float, ratio: np.ndarray) -> np.ndarray:
+        smooth = uniform_filter(ratio, 9)
+        parts = felzenszwalb(smooth, scale=scale, sigma=2, min_size=400, channel_axis=None)
         total = np.bincount(parts.ravel(), ratio.ravel())
         return np.asarray(total[parts] > 0)
 
@@ -148,7 +148,7 @@ def peers() -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         "Chan-Vese": contoured,
         "random walker": walked,
         "watershed": flooded,
-        "felzenszwalb": joined,
+        **{f"felzenszwalb {scale}": partial(joined, scale) for scale in (30, 100, 300)},
     }
 
 

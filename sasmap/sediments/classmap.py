@@ -25,6 +25,8 @@ SMALLEST = 300
 def log_likelihoods(looks: Sequence[Look], classes: Classes) -> NDArray[np.float32]:
     """Log likelihood of each class at each pixel, all looks together.
 
+    And after them, where the survey has any, of what is no sediment.
+
     Parameters
     ----------
     looks : sequence of Look
@@ -36,15 +38,16 @@ def log_likelihoods(looks: Sequence[Look], classes: Classes) -> NDArray[np.float
         Of independent samples (over the noise factor); NaN where no look shows a pixel.
     """
     shape = looks[0].amplitude.shape
-    result = np.zeros((len(classes.laws), *shape), np.float32)
-    flat = result.reshape(len(classes.laws), -1)
+    result = np.zeros((len(classes.every), *shape), np.float32)
+    flat = result.reshape(len(result), -1)
     seen = np.zeros(shape, bool)
-    top = max(law.mean_square for law in classes.laws) ** 0.5
+    laws = classes.every
+    top = max(law.mean_square for law in laws) ** 0.5
     grid, step = np.linspace(np.log(1e-5 * top), np.log(50 * top), GRID, retstep=True)
-    table = np.stack([law.log_density(np.exp(grid)) for law in classes.laws])
+    table = np.stack([law.log_density(np.exp(grid)) for law in laws])
     for i, look in enumerate(looks):
         known = np.isfinite(look.amplitude) & (look.amplitude > 0)
-        logs = np.log(look.amplitude[known]) - classes.log_trend(i, look.ground_range[known])
+        logs = np.log(look.amplitude[known]) - classes.log_trend(i, look.cotangent[known])
         where = np.flatnonzero(known)
         table_sums(logs, where, table, grid[0], float(step), 1 / classes.noise_factor, flat)
         seen |= known
@@ -67,13 +70,15 @@ class ClassMap(NamedTuple):
     probability: NDArray[np.float32]
 
 
-def class_map(likelihood: NDArray[np.float32]) -> ClassMap:
+def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> ClassMap:
     """Classify pixels.
 
     Parameters
     ----------
     likelihood : ndarray (classes, rows, columns)
         Of :func:`log_likelihoods`.
+    count : int, optional
+        Sediments; what comes after them is none. Default all.
 
     Returns
     -------
@@ -89,7 +94,9 @@ def class_map(likelihood: NDArray[np.float32]) -> ClassMap:
     share = _softmax(share) * seen
     mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
     label = _sieved(np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8))
-    return ClassMap(label, np.where(seen, share.max(axis=0), np.nan).astype(np.float32))
+    sediment = seen & (label <= (count or len(level)))
+    chosen = np.where(sediment, share.max(axis=0), np.nan).astype(np.float32)
+    return ClassMap(np.where(sediment, label, 0).astype(np.uint8), chosen)
 
 
 def _sieved(label: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -1,8 +1,8 @@
 """Sediment classes: how many there are, and their amplitude laws.
 
-Blocks of pixels are described by mean and variance of their log amplitude, less the gain and range
-trend of the pass, and grouped by a Gaussian mixture; groups whose laws differ by too little a pixel
-are one sediment. Each class is then an amplitude law of its own
+Blocks of pixels are described by mean and variance of their log amplitude, less the gain of
+the pass and its trend over grazing angle, and grouped by a Gaussian mixture; groups whose laws
+differ by too little a pixel are one sediment. Each class is then an amplitude law of its own
 (:func:`sasmap.sediments.fitting.choose`). Classes may also be learned from pixels that are marked,
 or be those of another survey.
 """
@@ -24,6 +24,7 @@ from sasmap.sediments.trends import (
     Look,
     block_statistics,
     first_trends,
+    log_cotangent,
     refit,
     trend_of,
 )
@@ -42,6 +43,9 @@ SAMPLES = 60_000
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
 LEAST_SAMPLES, MARKED = 50, 0.9
+# Below the survey's median log amplitude by so much (14 dB) there is no sediment, or below that of
+# the darkest known one (5 dB); blocks that tell what is there instead, at least.
+DARK, DARKER, LEAST_DARK = 1.6, 0.58, 4
 # Of another survey's classes: by how much this one's gain may differ (standard deviation of the log
 # amplitude: 3 dB), gains that are tried, rounds of a fit.
 GAIN_SD = 0.35
@@ -60,21 +64,30 @@ class Classes:
     laws : tuple of Law
         By rising mean intensity where they were found, so that numbers are stable.
     trends : ndarray (looks, 3)
-        Log gain of each look, and its slope and bend with log range about `centre`.
+        Log gain of each look, and its slope and bend with the log cotangent of the
+        grazing angle about `centre`.
     centre : float
-        Log of a ground range, m.
+        Log of a cotangent.
     noise_factor : float
         Pixels that one independent sample makes.
+    dark : Law or None
+        Of what is too dark to be sediment: shadow, water column.
     """
 
     laws: tuple[Law, ...]
     trends: FloatArray
     centre: float
     noise_factor: float
+    dark: Law | None = None
 
-    def log_trend(self, look: int, ground_range: FloatArray) -> FloatArray:
-        """Log of the amplitude that a look's gain and range trend make."""
-        t = np.log(np.maximum(ground_range, 1e-3)) - self.centre
+    @property
+    def every(self) -> tuple[Law, ...]:
+        """Laws of the classes, and after them that of what is no sediment."""
+        return self.laws if self.dark is None else (*self.laws, self.dark)
+
+    def log_trend(self, look: int, cotangent: FloatArray) -> FloatArray:
+        """Log of the amplitude that a look's gain and trend make."""
+        t = log_cotangent(cotangent) - self.centre
         return trend_of(self.trends[look], t)
 
 
@@ -100,8 +113,9 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     centre = _centre(looks)
     blocks = _blocks(looks, centre)
     first = trends = first_trends(blocks)
+    dark = _dark(blocks, trends)
     for _ in range(3):
-        features, index = _features(blocks, trends)
+        features, index = _features(blocks, trends, dark)
         groups = _grouped(features, count or 1)
         trends = refit(blocks, groups, index, first)
     factor = _noise_factor(looks)
@@ -109,7 +123,8 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     labels[index] = groups
     laws = _merged(looks, _pruned(labels, count or 1), count, (trends, centre, factor))
     order = np.argsort([law.mean_square for law in laws], kind="stable")
-    return Classes(tuple(laws[i] for i in order), trends, centre, factor)
+    none = _dark_law(looks, dark, trends, centre, factor)
+    return Classes(tuple(laws[i] for i in order), trends, centre, factor, none)
 
 
 def train_classes(looks: Sequence[Look], marks: NDArray[np.uint8], count: int) -> Classes:
@@ -151,7 +166,8 @@ def train_classes(looks: Sequence[Look], marks: NDArray[np.uint8], count: int) -
                 f"{int(np.ceil(LEAST_SAMPLES * factor))}"
             )
         laws.append(choose(values, samples=values.size / factor).law)
-    return Classes(tuple(laws), trends, centre, factor)
+    none = _dark_law(looks, _dark(blocks, trends, laws), trends, centre, factor)
+    return Classes(tuple(laws), trends, centre, factor, none)
 
 
 def _marked_blocks(marks: NDArray[np.uint8], count: int) -> NDArray[np.int64]:
@@ -171,7 +187,7 @@ def carry_over(looks: Sequence[Look], laws: Sequence[Law], centre: float) -> Cla
         On one lattice.
     laws : sequence of Law
     centre : float
-        Log of the ground range, m, at which they hold.
+        Log of the cotangent of the grazing angle at which they hold.
 
     Returns
     -------
@@ -195,7 +211,9 @@ def carry_over(looks: Sequence[Look], laws: Sequence[Law], centre: float) -> Cla
         score = level - 0.5 * float(trends[0, 0] / GAIN_SD) ** 2
         if score > best_score:
             best, best_score = trends, score
-    return Classes(tuple(laws), best, centre, _noise_factor(looks))
+    factor = _noise_factor(looks)
+    none = _dark_law(looks, _dark(blocks, best, laws), best, centre, factor)
+    return Classes(tuple(laws), best, centre, factor, none)
 
 
 def _log_moments(law: Law) -> tuple[float, float]:
@@ -226,7 +244,7 @@ def _assigned(
 
 
 def _centre(looks: Sequence[Look]) -> float:
-    seen = [np.log(v[np.isfinite(v)]) for v in (look.ground_range for look in looks)]
+    seen = [log_cotangent(v[np.isfinite(v)]) for v in (look.cotangent for look in looks)]
     known = [float(v.mean()) for v in seen if v.size]
     if not known:
         raise ValueError("expected a block of known amplitudes")
@@ -240,18 +258,53 @@ def _blocks(looks: Sequence[Look], centre: float) -> list[Blocks]:
     return blocks
 
 
-def _features(
-    blocks: list[Blocks], trends: FloatArray
-) -> tuple[FloatArray, tuple[NDArray[np.int64], ...]]:
-    """Mean and log variance of log amplitude of even blocks (n, 2), and where they are."""
+def _dark(blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()) -> NDArray[np.bool_]:
+    """Blocks too dark to be sediment, by their neighbourhood's; or by the laws of sediments."""
+    level, weight = _levels(blocks, trends)
+    seen = weight > 0
+    limit = float(np.median(level[seen])) - DARK
+    if laws:
+        limit = min(limit, min(_log_moments(law)[0] for law in laws) - DARKER)
+    return seen & (level < limit)
+
+
+def _dark_law(
+    looks: Sequence[Look],
+    dark: NDArray[np.bool_],
+    trends: FloatArray,
+    centre: float,
+    factor: float,
+) -> Law | None:
+    if dark.sum() < LEAST_DARK:
+        return None
+    values = _pixels(looks, _whole(dark), trends, centre)
+    return choose(values, samples=values.size / factor).law
+
+
+def _levels(blocks: list[Blocks], trends: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean log amplitude of blocks over all looks, and how many pixels tell it."""
     weight = np.sum([b.known for b in blocks], axis=0)
     level = np.sum(
         [b.known * (b.mean - trend_of(t, b.place)) for b, t in zip(blocks, trends, strict=True)],
         axis=0,
     )
+    return level / np.maximum(weight, 1), weight
+
+
+def _whole(blocks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels of blocks."""
+    return np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
+
+
+def _features(
+    blocks: list[Blocks], trends: FloatArray, dark: NDArray[np.bool_]
+) -> tuple[FloatArray, tuple[NDArray[np.int64], ...]]:
+    """Mean and log variance of log amplitude of even blocks (n, 2), and where they are."""
+    level, weight = _levels(blocks, trends)
+    weight = np.where(dark, 0.0, weight)
     spread = np.sum([b.known * b.variance for b in blocks], axis=0)
     many = np.maximum(weight, 1)
-    level, spread = level / many, np.log(np.maximum(spread / many, 1e-6))
+    spread = np.log(np.maximum(spread / many, 1e-6))
     seen = (weight > 0).astype(float)
     around = uniform_filter(level * seen, 3, mode="nearest") / np.maximum(
         uniform_filter(seen, 3, mode="nearest"), 1e-9
@@ -331,7 +384,7 @@ def _whitened(part: FloatArray) -> FloatArray:
 
 
 def _flattened(look: Look, trend: FloatArray, centre: float) -> FloatArray:
-    place = np.log(np.maximum(look.ground_range, 1e-3)) - centre
+    place = log_cotangent(look.cotangent) - centre
     return np.asarray(look.amplitude * np.exp(-trend_of(trend, place)))
 
 
@@ -357,8 +410,7 @@ def _laws(
 ) -> list[Law]:
     laws = []
     for k in range(int(labels.max()) + 1):
-        mask = np.repeat(np.repeat(labels == k, BLOCK, axis=0), BLOCK, axis=1)
-        values = _pixels(looks, mask, trends, centre)
+        values = _pixels(looks, _whole(labels == k), trends, centre)
         if values.size:
             laws.append(choose(values, samples=values.size / factor).law)
     return laws

@@ -1,6 +1,6 @@
-"""Gain and range trend of each look, by blocks of pixels.
+"""Gain and trend over grazing angle of each look, by blocks of pixels.
 
-A trend over range and a boundary that runs along the track look alike to a single look; looks from
+Such a trend and a boundary that runs along the track look alike to a single look; looks from
 two sides, or ranges, tell them apart.
 """
 
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 BLOCK = 16
 # Of a block's pixels, how many must be known.
 MIN_KNOWN = 0.6
-# Blocks apart, at most, of pairs that tell the range trend.
+# Blocks apart, at most, of pairs that tell the trend.
 LAGS = 4
 # How far slope and bend within classes may be from what those say (standard deviation).
 SLOPE_SD = (0.12, 0.3)
@@ -29,12 +29,12 @@ class Look(NamedTuple):
     ----------
     amplitude : ndarray (rows, columns)
         NaN where there is none, or no sediment (shadow, water column).
-    ground_range : ndarray (rows, columns)
-        m.
+    cotangent : ndarray (rows, columns)
+        Of the grazing angle: ground range over altitude.
     """
 
     amplitude: FloatArray
-    ground_range: FloatArray
+    cotangent: FloatArray
 
 
 class Blocks(NamedTuple):
@@ -46,14 +46,19 @@ class Blocks(NamedTuple):
     place: FloatArray
 
 
+def log_cotangent(cotangent: FloatArray) -> FloatArray:
+    """Log of a grazing angle's cotangent; steeper than 45 degrees there is no trend."""
+    return np.asarray(np.log(np.maximum(cotangent, 1.0)))
+
+
 def block_statistics(look: Look, centre: float) -> Blocks:
-    """Gather log amplitudes by blocks, and log ranges about a centre."""
+    """Gather log amplitudes by blocks, and log cotangents about a centre."""
     amplitude = look.amplitude
     rows, columns = (n // BLOCK * BLOCK for n in amplitude.shape)
     shape = (rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
     known = np.isfinite(amplitude) & (amplitude > 0)
     logs = np.log(np.where(known, amplitude, 1.0))[:rows, :columns].reshape(shape)
-    place = np.log(np.maximum(np.nan_to_num(look.ground_range, nan=1.0), 1e-3)) - centre
+    place = log_cotangent(np.nan_to_num(look.cotangent, nan=1.0)) - centre
     there = known[:rows, :columns].reshape(shape)
     count = there.sum(axis=(1, 3)).astype(float)
     total = np.maximum(count, 1)
@@ -80,7 +85,7 @@ def first_trends(blocks: list[Blocks]) -> FloatArray:
 
 
 def _slope(block: Blocks) -> FloatArray:
-    """Slope and bend of log amplitude with log range, by differences of near blocks.
+    """Slope and bend of log amplitude with log cotangent, by differences of near blocks.
 
     Of most such pairs both blocks hold the same sediment; those that do not are told by their
     residuals and count for little (Cauchy weights).
@@ -113,7 +118,7 @@ def _slope(block: Blocks) -> FloatArray:
 
 
 def trend_of(trend: FloatArray, place: FloatArray) -> FloatArray:
-    """Log of the amplitude that a gain, slope and bend make at log ranges about the centre."""
+    """Log of the amplitude that a gain, slope and bend make at log cotangents about the centre."""
     return np.asarray(trend[0] + trend[1] * place + trend[2] * place * place)
 
 

@@ -153,6 +153,22 @@ def test_lines_are_traced_once_and_know_their_sides():
     assert list(traced(np.ones((40, 40), np.uint8))) == []
 
 
+@pytest.mark.parametrize("kind", ["one", "three"])
+def test_shadow_is_no_sediment(kind):
+    truth = regions(kind)
+    looks = looks_at(truth, 6)
+    shadow = np.zeros(truth.shape, bool)
+    shadow[100:190, 30:110] = True
+    dark = [Look(np.where(shadow, 0.07 * v.amplitude, v.amplitude), v.cotangent) for v in looks]
+    classes = find_classes(dark)
+    assert len(classes.laws) == truth.max() + 1
+    assert classes.dark.mean_square < 0.05 * classes.laws[0].mean_square
+    found = class_map(log_likelihoods(dark, classes), len(classes.laws))
+    assert (found.label[shadow] == 0).mean() > 0.97
+    assert (found.label[~shadow] > 0).mean() > 0.99
+    assert find_classes(looks).dark is None
+
+
 def test_painting_changes_no_third_class():
     label = np.ones((40, 60), np.uint8)
     label[:, 30:] = 2
