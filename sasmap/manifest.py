@@ -29,7 +29,7 @@ class Outcome:
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
     chains: dict[tuple[int, int], Chain] = field(default_factory=dict)
-    models: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
+    keys: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
     sediments: list[dict[str, Any]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)

@@ -149,18 +149,18 @@ def _estimate_cells(
     done = dict(zip(tasks, _compute(list(tasks.values()), workers, client, progress), strict=True))
     for cell, looks in plan.cells.items():
         summaries: list[Summary | None] = [None] * len(plan.looks)
-        models: list[str | None] = [None] * len(plan.looks)
+        keys: list[str | None] = [None] * len(plan.looks)
         for k in looks:
             result = done[cell, k]
             summaries[k] = result.summary
-            models[k] = result.model
+            keys[k] = result.key
             outcome.computed += result.computed
             outcome.kept += not result.computed
             if result.fault is not None:
                 summaries[k] = Summary(Quality.FAILED, LeftOut(0))
                 outcome.failures.append(_failure(cell, plan.looks[k], result.fault))
         outcome.cells[cell.row, cell.column] = summaries
-        outcome.models[cell.row, cell.column] = models
+        outcome.keys[cell.row, cell.column] = keys
         outcome.chains[cell.row, cell.column] = chained(summaries, settings)
 
 
@@ -234,9 +234,7 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     if settings.keep_model:
         path = store.output / "modelled_amplitude.tif"
         window = plan.settings.window
-        last = {c: [m for m in keys if m is not None] for c, keys in outcome.models.items()}
-        models = {c: keys[-1] for c, keys in last.items() if keys}
-        mosaic = Mosaic(models, store.load_model, shape, window)
+        mosaic = Mosaic(outcome.keys, store, shape, window)
         layer = float_layer(["modelled amplitude"], [""], tags)
         write_large_cog(path, mosaic, layer, grid.pixels(window), grid.crs, store.scratch)
         outcome.written.append(path)

@@ -33,7 +33,7 @@ Read = Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
 
 # Pixels, of all looks, from which classes are found, and cells they come from at most.
 SAMPLE, SAMPLED_CELLS = 6_000_000, 100
-# Pixels a side of the blocks that are classified at once, and around them that decide with them.
+# Pixels a side, about, of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
 STEP, DEEPEST = 0.1, 12.7
@@ -209,7 +209,8 @@ def map_sediments(
     """
 
     def canvas(name: str, dtype: str) -> Canvas:
-        return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
+        path = scratch / f"{name}.part"
+        return stack.enter_context(Canvas(path, ground.shape, dtype, ground.window))
 
     classes = _classes(ground, count, known, workers)
     if classes is None:
@@ -227,11 +228,12 @@ def map_sediments(
             layer[part] = values
 
     def classify(place: tuple[int, int]) -> None:
-        _classify(place, seen, kept, number, label, confidence)
+        _classify(place, side, seen, kept, number, label, confidence)
 
     deque(mapped(weigh, product(range(ground.rows), range(ground.columns)), workers), 0)
     rows, columns = ground.shape
-    deque(mapped(classify, product(range(0, rows, SIDE), range(0, columns, SIDE)), workers), 0)
+    side = max(SIDE // ground.window, 1) * ground.window
+    deque(mapped(classify, product(range(0, rows, side), range(0, columns, side)), workers), 0)
     layers = [Quantised(layer) for layer in kept]
     lines = refined(traced(label), layers, workers)
     final = canvas("final", "uint8")
@@ -270,11 +272,17 @@ def _pixels_of(place: tuple[int, int], window: int) -> tuple[slice, slice]:
 
 
 def _classify(
-    place: tuple[int, int], seen: Any, kept: Sequence[Any], count: int, label: Any, confidence: Any
+    place: tuple[int, int],
+    side: int,
+    seen: Any,
+    kept: Sequence[Any],
+    count: int,
+    label: Any,
+    confidence: Any,
 ) -> None:
     """Classify one block of pixels, with those around it in view."""
     top, left = place
-    bottom, right = min(top + SIDE, seen.shape[0]), min(left + SIDE, seen.shape[1])
+    bottom, right = min(top + side, seen.shape[0]), min(left + side, seen.shape[1])
     part = (
         slice(max(top - HALO, 0), min(bottom + HALO, seen.shape[0])),
         slice(max(left - HALO, 0), min(right + HALO, seen.shape[1])),
@@ -359,7 +367,9 @@ def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
     return np.asarray(np.rint(below / STEP), np.int8)
 
 
-def levelled(amplitude: FloatArray, relief: FloatArray | None) -> FloatArray:
+def levelled(
+    amplitude: NDArray[np.floating], relief: NDArray[np.floating] | None
+) -> NDArray[np.floating]:
     """Take ripples off an amplitude; NaN in their shadow.
 
     Parameters

@@ -60,8 +60,8 @@ def _key(plan: Plan, outcome: Outcome) -> str:
         for look in plan.looks
     ]
     place = [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size), plan.settings.window]
-    models = sorted((list(cell), keys) for cell, keys in outcome.models.items())
-    known = [code_version(), plan.sediment_settings, place, looks, models, tags_of(plan)]
+    found = sorted((list(cell), keys) for cell, keys in outcome.keys.items())
+    known = [code_version(), plan.sediment_settings, place, looks, found, tags_of(plan)]
     return digest(known)
 
 
@@ -136,14 +136,14 @@ class _Reader:
 
     def __init__(self, plan: Plan, store: Store, outcome: Outcome) -> None:
         self._context = Context(plan, store)
-        self._models = outcome.models
+        self._keys = outcome.keys
         self._lock = Lock()
         self.faults: dict[tuple[int, int, int], str] = {}
 
     def __call__(
         self, row: int, column: int, k: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        keys = self._models.get((row, column))
+        keys = self._keys.get((row, column))
         try:
             return read_floor(self._context, Cell(row, column), k, keys[k] if keys else None)
         except Exception as error:  # one cell's fault must not end the survey

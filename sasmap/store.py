@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -58,34 +60,22 @@ class Store:
         """Keep a finished result."""
         write_text(self.path(key), json.dumps(asdict(summary)), self.scratch)
 
-    def model_path(self, key: str) -> Path:
-        """Where the modelled amplitude of a cell is kept."""
+    def arrays_path(self, key: str) -> Path:
+        """Where the arrays of a result are kept."""
         return self.path(key).with_suffix(".npz")
 
-    def save_model(
-        self, key: str, model: NDArray[np.float32] | None, relief: NDArray[np.float32]
-    ) -> None:
-        """Keep a cell's modelled amplitude over that of flat sea floor, and itself where wanted.
+    def save_arrays(self, key: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keep a result's arrays; before the result, which completes them."""
+        with written_whole(self.arrays_path(key), self.scratch) as part, part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
 
-        Before the result, which completes it.
-        """
-        layers: dict[str, NDArray[Any]] = {"relief": relief.astype(np.float16)}
-        if model is not None:
-            layers["model"] = model
-        with written_whole(self.model_path(key), self.scratch) as part, part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **layers)
-
-    def load_model(self, key: str) -> NDArray[np.float32]:
-        """Return a cell's modelled amplitude."""
-        return self._layer(key, "model")
-
-    def load_relief(self, key: str) -> NDArray[np.float32]:
-        """Return a cell's modelled amplitude over that of flat sea floor."""
-        return self._layer(key, "relief")
-
-    def _layer(self, key: str, name: str) -> NDArray[np.float32]:
-        with np.load(self.model_path(key), allow_pickle=False) as layers:
-            return np.asarray(layers[name], np.float32)
+    def load_arrays(self, key: str, names: Sequence[str]) -> list[NDArray[Any]] | None:
+        """Return some of a result's arrays, or None where it lacks any."""
+        try:
+            with np.load(self.arrays_path(key), allow_pickle=False) as arrays:
+                return [arrays[name] for name in names]
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile):
+            return None
 
     def clear(self) -> None:
         """Forget all finished work."""

@@ -16,7 +16,7 @@ from sasmap.ripples.chain import next_prior
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimate import estimate
 from sasmap.ripples.passes import Summary, summarise
-from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.settings import RippleSettings
 from sasmap.sedimentmap import levelled
 from sasmap.store import Store, code_version, digest
@@ -33,7 +33,7 @@ class LookResult(NamedTuple):
     summary: Summary | None
     fault: str | None
     computed: bool
-    model: str | None = None  # key of the modelled amplitude in the store
+    key: str | None = None  # of the result in the store
 
 
 class Context(NamedTuple):
@@ -54,42 +54,65 @@ def run_look(context: Context, cell: Cell, k: int, earlier: list[LookResult]) ->
 def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
     plan, store = context
     look = plan.looks[k]
-    settings, wanted = ripple_settings(plan), plan.settings.ripples
-    assert wanted is not None
+    settings = ripple_settings(plan)
     prior = next_prior(earlier, settings)
     key = _key(plan, cell, look, [prior.mean, prior.sd])
     kept = store.load(key)
     if kept is not None:
-        return LookResult(kept, None, False, _model_key(store, key))
+        return LookResult(kept, None, False, key)
     clip = clip_of(plan, cell, look, look.side)
+    arrays: dict[str, NDArray[Any]] = {}
     if clip is None:
         summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
     elif _shown(plan, cell, look, clip) < MIN_VALID:
         summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
     else:
         rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
-        pixels = Clip.from_array(clip)
-        posterior = estimate(pixels, settings, rng=rng, prior=prior)
+        posterior = estimate(Clip.from_array(clip), settings, rng=rng, prior=prior)
         summary = summarise(posterior)
-        if posterior.model is not None and posterior.relief is not None:
-            place = plan.opened.grid, cell, plan.settings.window
-            model = on_cell(pixels, posterior.model, *place) if wanted.keep_model else None
-            store.save_model(key, model, on_cell(pixels, posterior.relief, *place))
+        arrays = _modelled(plan, cell, Clip.from_array(clip), posterior)
+    if plan.settings.sediments is not None and clip is not None:
+        amplitude, cotangent = _floor(plan, cell, clip, arrays.pop("relief", None))
+        arrays |= {"amplitude": amplitude, "cotangent": cotangent}
+    if arrays:
+        store.save_arrays(key, arrays)
     store.save(key, summary)
-    return LookResult(summary, None, True, _model_key(store, key))
+    return LookResult(summary, None, True, key)
+
+
+def _modelled(
+    plan: Plan, cell: Cell, clip: Clip, posterior: Posterior
+) -> dict[str, NDArray[np.float32]]:
+    """Modelled amplitude and relief on a cell's own pixels, as far as the run needs them."""
+    settings = plan.settings.ripples
+    assert settings is not None
+    place = plan.opened.grid, cell, plan.settings.window
+    found = {}
+    if settings.keep_model and posterior.model is not None:
+        found["model"] = on_cell(clip, posterior.model, *place)
+    if plan.settings.sediments is not None and posterior.relief is not None:
+        found["relief"] = on_cell(clip, posterior.relief, *place)
+    return found
+
+
+def _floor(
+    plan: Plan, cell: Cell, clip: xr.DataArray, relief: NDArray[np.float32] | None
+) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
+    """Amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels."""
+    pixels = Clip.from_array(clip)
+    place = plan.opened.grid, cell, plan.settings.window
+    known = np.where(pixels.valid, pixels.amplitude, np.nan)
+    amplitude = levelled(on_cell(pixels, known, *place), relief)
+    cotangent = on_cell(pixels, pixels.ground_range / pixels.altitude, *place)
+    return amplitude.astype(np.float32), np.minimum(cotangent, 6e4).astype(np.float16)
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
     """Return settings of the estimates: the sediment map needs the ripples' modelled amplitude."""
     settings = plan.settings.ripples
     assert settings is not None
-    return settings.model_copy(
-        update={"keep_model": settings.keep_model or (plan.settings.sediments is not None)}
-    )
-
-
-def _model_key(store: Store, key: str) -> str | None:
-    return key if store.model_path(key).exists() else None
+    modelled = settings.keep_model or plan.settings.sediments is not None
+    return settings.model_copy(update={"keep_model": modelled})
 
 
 def clip_of(plan: Plan, cell: Cell, look: Look, side: Side) -> xr.DataArray | None:
@@ -127,7 +150,7 @@ def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
         {
             "code": code_version(),
             "seed": plan.settings.seed,
-            "settings": ripple_settings(plan).model_dump(mode="json"),
+            "settings": _dumped(plan),
             "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
             "cell": list(cell),
             "pass": [look.label, look.side, sonar_pass.slant],
@@ -136,6 +159,12 @@ def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
             "prior": repr(prior),
         }
     )
+
+
+def _dumped(plan: Plan) -> list[Any]:
+    settings = plan.settings.ripples
+    assert settings is not None
+    return [settings.model_dump(mode="json"), plan.settings.sediments is not None]
 
 
 @lru_cache(maxsize=1024)
@@ -159,7 +188,7 @@ def read_floor(
     k : int
         Look.
     key : str or None
-        Of the ripples' modelled amplitude.
+        Under which the ripple stage kept them, if it did.
 
     Returns
     -------
@@ -175,13 +204,11 @@ def read_floor(
     look = plan.looks[k]
     if k not in plan.cells.get(cell, ()):
         return None
+    kept = store.load_arrays(key, ("amplitude", "cotangent")) if key is not None else None
+    if kept is not None:
+        return kept[0].astype(float), kept[1].astype(float)
     clip = clip_of(plan, cell, look, look.side)
     if clip is None:
         return None
-    pixels = Clip.from_array(clip)
-    place = plan.opened.grid, cell, plan.settings.window
-    known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    cotangent = pixels.ground_range / pixels.altitude
-    amplitude, reach = (on_cell(pixels, v, *place) for v in (known, cotangent))
-    relief = store.load_relief(key).astype(float) if key is not None else None
-    return levelled(amplitude.astype(float), relief), reach.astype(float)
+    amplitude, cotangent = _floor(plan, cell, clip, None)
+    return amplitude.astype(float), cotangent.astype(float)

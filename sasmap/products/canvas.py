@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -10,12 +11,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-# Bytes read or written at once, about.
-CHUNK = 2**24
-
 
 class Canvas:
     """A raster of zeros on disk whose slices are arrays; threads may share it.
+
+    It lies in square blocks, so that a slice takes a few reads, not one a row.
 
     Parameters
     ----------
@@ -24,14 +24,18 @@ class Canvas:
     shape : tuple of int
         Rows and columns.
     dtype : str
+    block : int
+        Pixels a side of the blocks; slices along their edges are fastest.
     """
 
-    def __init__(self, path: Path, shape: tuple[int, int], dtype: str) -> None:
-        self.shape, self.dtype = shape, np.dtype(dtype)
+    def __init__(self, path: Path, shape: tuple[int, int], dtype: str, block: int = 256) -> None:
+        self.shape, self.dtype, self._block = shape, np.dtype(dtype), block
+        self._across = -(-shape[1] // block)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path = path
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-        os.ftruncate(self._file, shape[0] * shape[1] * self.dtype.itemsize)
+        blocks = self._across * -(-shape[0] // block)
+        os.ftruncate(self._file, blocks * block * block * self.dtype.itemsize)
 
     def __enter__(self) -> Self:
         return self
@@ -57,41 +61,57 @@ class Canvas:
         left, right, _ = columns.indices(self.shape[1])
         return top, max(bottom, top), left, max(right, left)
 
-    def _offset(self, row: int, column: int) -> int:
-        return (row * self.shape[1] + column) * self.dtype.itemsize
+    def _parts(self, box: tuple[int, int, int, int]) -> Iterator[tuple[int, slice, slice]]:
+        """Blocks that a box meets: number, and rows and columns of the map in each."""
+        top, bottom, left, right = box
+        size = self._block
+        for i in range(top // size, -(-bottom // size)):
+            for j in range(left // size, -(-right // size)):
+                rows = slice(max(i * size, top), min((i + 1) * size, bottom))
+                columns = slice(max(j * size, left), min((j + 1) * size, right))
+                yield i * self._across + j, rows, columns
+
+    def _offset(self, number: int, row: int, column: int) -> int:
+        size = self._block
+        place = number * size * size + row % size * size + column % size
+        return place * self.dtype.itemsize
 
     def __getitem__(self, part: Any) -> NDArray[Any]:
         """Read a slice of rows, or of rows and columns."""
-        top, bottom, left, right = self._box(part)
-        result = np.empty((bottom - top, right - left), self.dtype)
+        box = self._box(part)
+        result = np.empty((box[1] - box[0], box[3] - box[2]), self.dtype)
         if result.size == 0:
             return result
-        if result.shape[1] == self.shape[1]:
-            self._fill(result, self._offset(top, 0))
-        else:
-            for row in range(top, bottom):
-                self._fill(result[row - top], self._offset(row, left))
+        for number, rows, columns in self._parts(box):
+            height = rows.stop - rows.start
+            wanted = height * self._block * self.dtype.itemsize
+            raw = os.pread(self._file, wanted, self._offset(number, rows.start, 0))
+            if len(raw) < wanted:
+                raise OSError(f"{self._path}: ends too early")
+            values = np.frombuffer(raw, self.dtype).reshape(height, self._block)
+            first = columns.start % self._block
+            where = slice(rows.start - box[0], rows.stop - box[0])
+            across = slice(columns.start - box[2], columns.stop - box[2])
+            result[where, across] = values[:, first : first + columns.stop - columns.start]
         return result
 
     def __setitem__(self, part: Any, values: NDArray[Any]) -> None:
         """Write a slice of rows, or of rows and columns."""
-        top, bottom, left, right = self._box(part)
-        block = np.empty((bottom - top, right - left), self.dtype)
-        block[:] = values
-        for row in range(top, bottom):
-            self._write(block[row - top], self._offset(row, left))
+        box = self._box(part)
+        every = np.empty((box[1] - box[0], box[3] - box[2]), self.dtype)
+        every[:] = values
+        for number, rows, columns in self._parts(box):
+            part = every[
+                rows.start - box[0] : rows.stop - box[0],
+                columns.start - box[2] : columns.stop - box[2],
+            ]
+            if part.shape[1] == self._block:  # whole rows of the block lie in one piece
+                self._write(part.tobytes(), self._offset(number, rows.start, 0))
+            else:
+                for k, row in enumerate(part, rows.start):
+                    self._write(row.tobytes(), self._offset(number, k, columns.start))
 
-    def _fill(self, result: NDArray[Any], offset: int) -> None:
-        buffer = memoryview(result.data).cast("B")
+    def _write(self, raw: bytes, offset: int) -> None:
         done = 0
-        while done < len(buffer):
-            got = os.preadv(self._file, [buffer[done : done + CHUNK]], offset + done)
-            if got == 0:
-                raise OSError(f"{self._path}: ends too early")
-            done += got
-
-    def _write(self, row: NDArray[Any], offset: int) -> None:
-        buffer = memoryview(row.data).cast("B")
-        done = 0
-        while done < len(buffer):
-            done += os.pwrite(self._file, buffer[done:], offset + done)
+        while done < len(raw):
+            done += os.pwrite(self._file, raw[done:], offset + done)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.image import lattice
+from sasmap.store import Store
 from sasmap.survey.cells import Cell, CellGrid
 
 # Pixels by which a clip's lattice may stray from the cell's.
@@ -61,10 +62,9 @@ class Mosaic:
 
     Parameters
     ----------
-    models : mapping of (row, column) to str
-        Key of each cell's model.
-    load : callable
-        Returns the model (window, window) under a key.
+    keys : mapping of (row, column) to sequence of str or None
+        Of each cell's looks; the last one with a model is shown.
+    store : Store
     shape : tuple of int
         Rows and columns of cells.
     window : int
@@ -73,12 +73,12 @@ class Mosaic:
 
     def __init__(
         self,
-        models: Mapping[tuple[int, int], str],
-        load: Callable[[str], NDArray[np.float32]],
+        keys: Mapping[tuple[int, int], Sequence[str | None]],
+        store: Store,
         shape: tuple[int, int],
         window: int,
     ) -> None:
-        self._models, self._load, self._window = models, load, window
+        self._keys, self._store, self._window = keys, store, window
         self.shape = shape[0] * window, shape[1] * window
 
     def __getitem__(self, rows: slice) -> NDArray[np.float32]:
@@ -90,9 +90,16 @@ class Mosaic:
             first = max(row * window, top)
             last = min((row + 1) * window, bottom)
             for column in range(self.shape[1] // window):
-                if (row, column) in self._models:
-                    model = self._load(self._models[row, column])
+                model = self._model(row, column)
+                if model is not None:
                     part = model[first - row * window : last - row * window]
                     where = slice(column * window, (column + 1) * window)
                     result[first - top : last - top, where] = part
         return result
+
+    def _model(self, row: int, column: int) -> NDArray[np.float32] | None:
+        for key in reversed(self._keys.get((row, column), ())):
+            found = None if key is None else self._store.load_arrays(key, ("model",))
+            if found is not None:
+                return np.asarray(found[0], np.float32)
+        return None

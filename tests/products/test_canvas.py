@@ -16,7 +16,7 @@ PARTS = [
 def test_slices_are_those_of_an_array(tmp_path, dtype):
     rng = np.random.default_rng(1)
     plain = np.zeros((7, 11), dtype)
-    with Canvas(tmp_path / "a.part", plain.shape, dtype) as canvas:
+    with Canvas(tmp_path / "a.part", plain.shape, dtype, 4) as canvas:
         for part in PARTS:
             values = rng.integers(0, 100, plain[part].shape).astype(dtype)
             plain[part] = values
