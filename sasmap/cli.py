@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Tell what would run, and what is left out. Example: sasmap plan survey.yaml",
     )
     plan.add_argument("survey", type=Path, help="survey file")
+    plan.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
     plan.set_defaults(call=_plan)
 
     simulate = verbs.add_parser(
@@ -119,10 +121,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> int:
+    from sasmap.estimates import check_fits, describe_cost
     from sasmap.plan import describe, make_plan
 
-    for line in describe(make_plan(load_survey(options.survey))):
+    plan = make_plan(load_survey(options.survey))
+    for line in (*describe(plan), *describe_cost(plan, options.workers)):
         print(line)
+    check_fits(plan, options.workers)
     return COMPLETE
 
 
@@ -159,8 +164,18 @@ class _Progress:
             print(f"\r[{bar}] {done}/{total}", end=end, file=sys.stderr, flush=True)
         elif 10 * done // total > self._tenth:
             self._tenth = 10 * done // total
-            print(f"{done} of {total} looks at cells done", file=sys.stderr, flush=True)
+            print(f"{done} of {total} cells done", file=sys.stderr, flush=True)
+
+
+def console() -> None:
+    """Run as a command; an interrupt does not wait for cells in work, which are not kept."""
+    status = main()
+    if status == INTERRUPTED:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    console()

@@ -43,10 +43,9 @@ class Outcome:
         return {q.label: labels.count(q.label) for q in Quality if q.label in labels}
 
 
-def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
-    """Write run.json."""
+def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
+    """Write run.json; returns its path."""
     path = store.output / MANIFEST
-    outcome.written.append(path)
     base = plan.settings.path.parent
     content = {
         "run_id": plan.run_id,
@@ -67,10 +66,11 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> None:
         "failures": outcome.failures,
         "warnings": list(plan.opened.warnings),
         "left_out": [*plan.left_out, *_left_out_counts(outcome)],
-        "products": [p.name for p in outcome.written],
+        "products": [*(p.name for p in outcome.written), MANIFEST],
         "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},
     }
     write_text(path, json.dumps(content, indent=2) + "\n", store.scratch)
+    return path
 
 
 def _left_out_counts(outcome: Outcome) -> Iterator[str]:

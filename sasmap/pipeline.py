@@ -4,34 +4,29 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import dask
-from dask.callbacks import Callback
-
 from sasmap.config import Survey
 from sasmap.errors import InputError
+from sasmap.estimates import check_fits
 from sasmap.manifest import Clock, Outcome, write_manifest
 from sasmap.plan import Look, Plan, make_plan, tags_of
-from sasmap.productnames import RIPPLE_PRODUCTS
+from sasmap.productnames import MANIFEST, RIPPLE_PRODUCTS
 from sasmap.products.model import Mosaic
 from sasmap.products.rasters import float_layer, write_large_cog
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
 from sasmap.ripples.chain import chained
 from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.sedimentstage import try_sediments
+from sasmap.scheduling import cluster, compute
+from sasmap.sedimentstage import sediment_stage
 from sasmap.store import Store
 from sasmap.survey.cells import Cell
-from sasmap.work import Context, LookResult, run_look
+from sasmap.work import Context
 
 log = logging.getLogger("sasmap")
-
-CLUSTER_TIMEOUT = "10s"
 
 
 def run_survey(
@@ -57,7 +52,7 @@ def run_survey(
     restart : bool
         Forget finished work first.
     progress : callable, optional
-        Called with the number of finished looks at cells and of all.
+        Called with the number of finished cells and of all.
 
     Returns
     -------
@@ -73,7 +68,8 @@ def run_survey(
     clock = Clock()
     with clock.stage("check"):
         plan = make_plan(survey)
-    with _cluster(scheduler) as client:
+        check_fits(plan, workers)
+    with cluster(scheduler) as client:
         store = Store(_made(survey.output_folder))
         for warning in plan.opened.warnings:
             log.warning(warning)
@@ -93,25 +89,9 @@ def run_survey(
             log.warning("of an earlier run, not of this one: %s", ", ".join(left))
     if survey.sediments is not None:
         with clock.stage("sediments"):
-            try_sediments(plan, store, outcome, workers)
-    write_manifest(plan, store, outcome)
+            _attempt(outcome, "sediments", lambda: sediment_stage(plan, store, outcome, workers))
+    _attempt(outcome, MANIFEST, lambda: [write_manifest(plan, store, outcome)])
     return outcome
-
-
-@contextmanager
-def _cluster(address: str | None) -> Iterator[Any]:
-    """Connect to a dask scheduler; None without an address."""
-    if address is None:
-        yield None
-        return
-    from distributed import Client  # heavy, and only clusters need it
-
-    try:
-        client = Client(address, timeout=CLUSTER_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {address}: no dask scheduler answers: {error}") from None
-    with client:
-        yield client
 
 
 def _made(folder: Path) -> Path:
@@ -136,22 +116,14 @@ def _estimate_cells(
 ) -> None:
     settings = plan.settings.ripples
     assert settings is not None
-    tasks: dict[tuple[Cell, int], Any] = {}
-    context = dask.delayed(Context(plan, store), pure=False, traverse=False)
-    for cell, looks in plan.cells.items():
-        earlier: list[Any] = []
-        for k in looks:
-            tasks[cell, k] = dask.delayed(run_look, pure=False)(context, cell, k, list(earlier))
-            if settings.method == "zare-cobb":  # the default method chains what looks know
-                earlier.append(tasks[cell, k])
-    total = len(tasks)
-    log.info("%d cells, %d looks at them", len(plan.cells), total)
-    done = dict(zip(tasks, _compute(list(tasks.values()), workers, client, progress), strict=True))
+    cells = list(plan.cells)
+    log.info("%d cells, %d looks at them", len(cells), sum(map(len, plan.cells.values())))
+    found = compute(Context(plan, store), cells, workers, client, progress)
+    done = dict(zip(cells, found, strict=True))
     for cell, looks in plan.cells.items():
         summaries: list[Summary | None] = [None] * len(plan.looks)
         keys: list[str | None] = [None] * len(plan.looks)
-        for k in looks:
-            result = done[cell, k]
+        for k, result in zip(looks, done[cell], strict=True):
             summaries[k] = result.summary
             keys[k] = result.key
             outcome.computed += result.computed
@@ -169,72 +141,39 @@ def _failure(cell: Cell, look: Look, fault: str) -> dict[str, Any]:
     return {"row": cell.row, "column": cell.column, "pass": look.label, "fault": fault}
 
 
-def _compute(
-    tasks: list[Any],
-    workers: int | None,
-    client: Any,
-    progress: Callable[[int, int], None] | None,
-) -> Sequence[LookResult]:
-    tick = _Ticker(len(tasks), progress)
-    results: Sequence[LookResult]
-    if client is not None:
-        futures = client.compute(tasks)
-        for future in futures:
-            future.add_done_callback(lambda _: tick())
-        results = client.gather(futures)
-        return results
-    with Callback(posttask=lambda key, *_: tick() if str(key).startswith("run_look") else None):
-        results = dask.compute(
-            *tasks, scheduler="threads", num_workers=workers or os.cpu_count() or 1
-        )
-    return results
-
-
-@dataclass
-class _Ticker:
-    total: int
-    progress: Callable[[int, int], None] | None
-    done: int = 0
-
-    def __call__(self) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, self.total)
+def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -> None:
+    """Do a stage's work; where it fails, what is done stays and the run says what is missing."""
+    try:
+        outcome.written += work()
+    except Exception as error:
+        fault = " ".join(f"{type(error).__name__}: {error}".split())
+        log.warning("%s: %s", stage, fault)
+        outcome.failures.append({"stage": stage, "fault": fault})
 
 
 def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     grid, settings = plan.opened.grid, plan.settings.ripples
     assert settings is not None
-    shape, tags = (grid.rows, grid.columns), tags_of(plan)
-    outcome.written += write_ripple_rasters(
-        store.output,
-        outcome.cells,
-        outcome.chains,
-        [look.sonar_pass.name for look in plan.looks],
-        shape,
-        grid.transform,
-        grid.crs,
-        tags,
-        store.scratch,
+    shape = grid.rows, grid.columns
+    place: list[Any] = [grid.transform, grid.crs, tags_of(plan), store.scratch]
+    found = outcome.cells, outcome.chains
+    names = [look.sonar_pass.name for look in plan.looks]
+    labels = [look.label for look in plan.looks]
+    _attempt(
+        outcome,
+        "ripple rasters",
+        lambda: write_ripple_rasters(store.output, *found, names, shape, *place),
     )
     path = store.output / "ripples.nc"
-    labels = [look.label for look in plan.looks]
-    write_ripples_netcdf(
-        path,
-        outcome.cells,
-        outcome.chains,
-        labels,
-        shape,
-        grid.transform,
-        grid.crs,
-        tags,
-        store.scratch,
-    )
-    outcome.written.append(path)
+    _attempt(outcome, path.name, lambda: write_ripples_netcdf(path, *found, labels, shape, *place))
     if settings.keep_model:
-        path = store.output / "modelled_amplitude.tif"
-        window = plan.settings.window
-        mosaic = Mosaic(outcome.keys, store, shape, window)
-        layer = float_layer(["modelled amplitude"], [""], tags)
-        write_large_cog(path, mosaic, layer, grid.pixels(window), grid.crs, store.scratch)
-        outcome.written.append(path)
+        _attempt(outcome, "modelled amplitude", lambda: [_write_model(plan, store, outcome)])
+
+
+def _write_model(plan: Plan, store: Store, outcome: Outcome) -> Path:
+    grid, window = plan.opened.grid, plan.settings.window
+    path = store.output / "modelled_amplitude.tif"
+    mosaic = Mosaic(outcome.keys, store, (grid.rows, grid.columns), window)
+    layer = float_layer(["modelled amplitude"], [""], tags_of(plan))
+    write_large_cog(path, mosaic, layer, grid.pixels(window), grid.crs, store.scratch)
+    return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,6 +148,21 @@ def _left_out(survey: Survey) -> Iterator[str]:
         yield "sediments: the survey file has no sediments block"
 
 
+def _classes_told(plan: Plan) -> str:
+    """Where the sediment classes come from."""
+    settings = plan.settings.sediments
+    assert settings is not None
+    if plan.model is not None:
+        return f"classes of {settings.model}: {', '.join(plan.model.names)}"
+    if plan.training:
+        return "classes by training: " + ", ".join(t.name for t in plan.training)
+    return (
+        "as many classes as the data show"
+        if settings.classes == "auto"
+        else (f"{settings.classes} classes")
+    )
+
+
 def tags_of(plan: Plan) -> dict[str, str]:
     """Return the tags of a plan's products."""
     return {
@@ -169,6 +185,10 @@ def describe(plan: Plan) -> Iterable[str]:
     if plan.settings.ripples is not None:
         method = plan.settings.ripples.method
         yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+    if plan.settings.sediments is not None:
+        yield f"sediments: {_classes_told(plan)}"
+    shown = Counter(len(k) for k in plan.cells.values())
+    yield "looks a cell: " + ", ".join(f"{n} at {shown[n]} cells" for n in sorted(shown))
     for line in plan.left_out:
         yield f"left out: {line}"
     for line in plan.opened.warnings:

@@ -30,20 +30,14 @@ log = logging.getLogger("sasmap")
 RECORD = "sediments.json"
 
 
-def try_sediments(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> None:
-    """Map sediments; where that fails, what is done stays and the run says what is missing."""
+def sediment_stage(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> list[Path]:
+    """Map sediments, or keep an earlier run's map of the same; returns the products."""
     key = _key(plan, outcome)
     kept = _kept(store, key)
-    if kept is not None:
-        outcome.sediments = kept["table"]
-        outcome.written += [store.output / name for name in kept["files"]]
-        return
-    try:
-        _map(plan, store, outcome, workers, key)
-    except Exception as error:
-        fault = f"{type(error).__name__}: {error}"
-        log.warning("sediments: %s", fault)
-        outcome.failures.append({"stage": "sediments", "fault": fault})
+    if kept is None:
+        return _map(plan, store, outcome, workers, key)
+    outcome.sediments = kept["table"]
+    return [store.output / name for name in kept["files"]]
 
 
 def _key(plan: Plan, outcome: Outcome) -> str:
@@ -79,7 +73,7 @@ def _kept(store: Store, key: str) -> dict[str, Any] | None:
         return None
 
 
-def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: str) -> None:
+def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: str) -> list[Path]:
     settings = plan.settings.sediments
     assert settings is not None
     grid, window = plan.opened.grid, plan.settings.window
@@ -92,7 +86,7 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
         found = map_sediments(ground, count, _known(plan), threads, store.scratch, stack)
         reader.record(outcome)
         if found is None:
-            return
+            return []
         written = write_sediments(
             store.output,
             found.label,
@@ -107,9 +101,9 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
         outcome.sediments = found.table(abs(transform.determinant))
     written.append(store.output / "sediment_classes.json")
     write_text(written[-1], model_text(found), store.scratch)
-    outcome.written += written
     if not reader.faults:
         _keep(store, key, outcome.sediments, written)
+    return written
 
 
 def _keep(store: Store, key: str, table: list[dict[str, Any]], written: list[Path]) -> None:
@@ -148,7 +142,7 @@ class _Reader:
             return read_floor(self._context, Cell(row, column), k, keys[k] if keys else None)
         except Exception as error:  # one cell's fault must not end the survey
             with self._lock:
-                self.faults[row, column, k] = f"{type(error).__name__}: {error}"
+                self.faults[row, column, k] = " ".join(f"{type(error).__name__}: {error}".split())
             return None
 
     def record(self, outcome: Outcome) -> None:

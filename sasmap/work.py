@@ -43,12 +43,32 @@ class Context(NamedTuple):
     store: Store
 
 
-def run_look(context: Context, cell: Cell, k: int, earlier: list[LookResult]) -> LookResult:
-    """Estimate one look at one cell, or take its finished result. Never raises."""
-    try:
-        return _look(context, cell, k, [r.summary for r in earlier if r.summary is not None])
-    except Exception as error:  # one cell's fault must not end the survey
-        return LookResult(None, f"{type(error).__name__}: {error}", True)
+def run_cell(context: Context, cell: Cell) -> list[LookResult]:
+    """Estimate all looks at a cell, or take their finished results. Never raises.
+
+    Parameters
+    ----------
+    context : Context
+    cell : Cell
+
+    Returns
+    -------
+    list of LookResult
+        Of each look that shows the cell, in their order.
+    """
+    settings = context.plan.settings.ripples
+    assert settings is not None
+    results: list[LookResult] = []
+    for k in context.plan.cells[cell]:
+        # the default method chains what looks know; the published one feeds each to the next
+        published = settings.method == "zare-cobb"
+        earlier = [r.summary for r in results if r.summary is not None] if published else []
+        try:
+            results.append(_look(context, cell, k, earlier))
+        except Exception as error:  # one cell's fault must not end the survey
+            fault = " ".join(f"{type(error).__name__}: {error}".split())
+            results.append(LookResult(None, fault, True))
+    return results
 
 
 def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
@@ -78,6 +98,20 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
         store.save_arrays(key, arrays)
     store.save(key, summary)
     return LookResult(summary, None, True, key)
+
+
+def finished_looks(plan: Plan, store: Store) -> int:
+    """Count the looks at cells that an earlier run has finished.
+
+    With the published method only each cell's first: what the later ones depend on is not known.
+    """
+    settings = ripple_settings(plan)
+    prior = next_prior([], settings)
+    known = [prior.mean, prior.sd]
+    first = settings.method == "zare-cobb"
+    pairs = ((c, k) for c, looks in plan.cells.items() for k in (looks[:1] if first else looks))
+    keys = (_key(plan, cell, plan.looks[k], known) for cell, k in pairs)
+    return sum(store.path(key).exists() for key in keys)
 
 
 def _modelled(

@@ -133,7 +133,7 @@ def write_ripples_netcdf(
     crs: str,
     tags: Mapping[str, str],
     scratch: Path,
-) -> None:
+) -> list[Path]:
     """Write everything per look and cell: prior, posterior, convergence, quality.
 
     Parameters
@@ -151,6 +151,10 @@ def write_ripples_netcdf(
     tags : mapping of str to str
         Global attributes.
     scratch : Path
+
+    Returns
+    -------
+    list of Path
     """
     full = (len(looks), *shape)
     variables = {**_known_fields(cells, chains, full), **_look_fields(cells, full)}
@@ -170,6 +174,7 @@ def write_ripples_netcdf(
     )
     with written_whole(path, scratch) as part:
         result.to_netcdf(part, engine="scipy", format="NETCDF3_64BIT")
+    return [path]
 
 
 _DIMS = ("pass", "y", "x")

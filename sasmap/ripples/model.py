@@ -23,6 +23,8 @@ DRAWS = 40
 SHADOW = 0.3
 # Pixels along crests, and across them at most, over which a patch's edge is told.
 NARROW, WIDEST = 9, 201
+# Share of pixels that have to be known there.
+FEW = 0.1
 # Mean amplitude of speckle over the root of its mean intensity.
 RAYLEIGH = float(np.sqrt(np.pi) / 2)
 
@@ -110,7 +112,9 @@ def _borne_out(
     def mean(values: FloatArray) -> FloatArray:
         return np.asarray(uniform_filter(values, size, mode="constant"))
 
-    share = np.maximum(mean(there.astype(float)), 1e-9)
+    seen = mean(there.astype(float))
+    share = np.maximum(seen, 1e-9)
     flat = np.log(np.maximum(mean(power) / share, 1e-300))
     rippled = np.log(np.maximum(mean(power / square) / share, 1e-300))
-    return np.asarray(flat - rippled - mean(np.log(square)) / share > 0)
+    evidence = flat - rippled - mean(np.log(square)) / share
+    return np.asarray((evidence > 0) | (seen < FEW))  # a hole tells nothing against them
