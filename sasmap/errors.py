@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class InputError(ValueError):
@@ -17,3 +18,31 @@ class InputError(ValueError):
     def __init__(self, faults: str | Iterable[str]) -> None:
         self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
         super().__init__("\n".join(self.faults))
+
+
+def check_file(path: Path, expected: str, most: int) -> None:
+    """Check that an input is a regular file of no more than some bytes.
+
+    Parameters
+    ----------
+    path : Path
+    expected : str
+        What is wanted, for the message.
+    most : int
+        Bytes.
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        if not path.exists():
+            raise InputError(f"{path}: cannot be read: no such file; {expected}")
+        if not path.is_file():
+            raise InputError(f"{path}: cannot be read: not a regular file; {expected}")
+        if path.stat().st_size > most:
+            raise InputError(f"{path}: larger than {most} bytes; {expected}")
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: cannot be read: {error}") from None

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.errors import InputError
+from sasmap.errors import InputError, check_file
 from sasmap.products.canvas import Canvas
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.fitting import FAMILIES, Law
@@ -42,6 +42,7 @@ PROBABILITY = 0.002
 # Modelled amplitude, over that of flat sea floor, below which there is shadow.
 SHADOW = 0.25
 FORMAT = "sasmap sediment classes 1"
+MAX_BYTES = 2**24
 
 
 class Ground(NamedTuple):
@@ -428,6 +429,7 @@ def read_model(path: Path) -> Known:
         Where the file is missing or is not such a file.
     """
     expected = "expected sediment_classes.json of another run"
+    check_file(path, expected, MAX_BYTES)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:

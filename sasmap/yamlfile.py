@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from sasmap.errors import InputError
+from sasmap.errors import InputError, check_file
 
 MAX_BYTES = 1_000_000
 
@@ -90,8 +90,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
         or is not a mapping.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: expected a text file of under {MAX_BYTES} bytes")
+        check_file(path, "expected a YAML text file", MAX_BYTES)
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

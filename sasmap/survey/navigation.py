@@ -13,12 +13,13 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from sasmap.errors import InputError
+from sasmap.errors import InputError, check_file
 from sasmap.survey.lattice import transform_points
 
 FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
+MAX_BYTES = 2**29
 # Below this grazing angle nothing is seen: farther tiles belong to another track.
 MAX_REACH = 5.0
 # Port and starboard are told by the course over this length to either side, m.
@@ -283,6 +284,7 @@ def _checked_track(path: Path, x: FloatArray, y: FloatArray, altitude: FloatArra
 
 def _read_rows(path: Path) -> tuple[list[int], list[list[str]]]:
     """Return line numbers and cells of the rows that are not blank."""
+    check_file(path, "expected a CSV file, one row a ping", MAX_BYTES)
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             first = stream.readline()

@@ -155,11 +155,12 @@ def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
     total = source.height * source.width * item
     if total > 2**32 and total > MAX_EXPANSION * size:
         raise InputError(f"{path}: {size} bytes claim to hold {total}: refused as implausible")
-    _check_directories(path, size)
+    blocks = -(-source.height // height) * -(-source.width // width)
+    _check_directories(path, size, blocks)
 
 
-def _check_directories(path: Path, size: int) -> None:
-    """Check the blocks of every image in the file: pixels, overviews, masks."""
+def _check_directories(path: Path, size: int, blocks: int) -> None:
+    """Check the blocks of every image in the file: pixels (so many), overviews, masks."""
     doubts = _Doubts()
     logger = logging.getLogger("tifffile")
     handlers, propagate = logger.handlers, logger.propagate
@@ -175,6 +176,12 @@ def _check_directories(path: Path, size: int) -> None:
         raise InputError(f"{path}: truncated: its list of images leads past the end of the file")
     for k, page in enumerate(pages):
         offsets, lengths = np.array(page.dataoffsets), np.array(page.databytecounts)
+        if offsets.size != lengths.size:
+            raise InputError(f"{path}: corrupt: {offsets.size} blocks of {lengths.size} lengths")
+        if k == 0 and offsets.size < blocks:
+            raise InputError(
+                f"{path}: truncated: {offsets.size} of the {blocks} blocks that its size asks for"
+            )
         if k == 0 and not (offsets * lengths).any():
             raise InputError(f"{path}: no block of it was ever written")
         if (offsets + lengths > size).any():

@@ -16,7 +16,7 @@ from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
 from sasmap.config import ClassSettings, Survey
-from sasmap.errors import InputError
+from sasmap.errors import InputError, check_file
 from sasmap.survey.cells import Cell, CellGrid
 
 MAX_BYTES = 2**27
@@ -83,10 +83,7 @@ def read_training(survey: Survey, grid: CellGrid) -> tuple[Training, ...]:
 
 
 def _read(path: Path, settings: ClassSettings, grid: CellGrid) -> Training:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; {EXPECTED} for class {settings.name!r}")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(f"{path}: larger than {MAX_BYTES} bytes; {EXPECTED}")
+    check_file(path, f"{EXPECTED} for class {settings.name!r}", MAX_BYTES)
     with open(path, "rb") as stream:
         start = stream.read(len(GEOPACKAGE))
     shapes, crs = _geopackage(path) if start == GEOPACKAGE else _geojson(path)

@@ -99,7 +99,7 @@ def test_other_files_are_refused_in_one_line(tmp_path, content, expected):
 def test_missing_files_and_overlaps_are_refused(tmp_path):
     geojson(tmp_path / "west.geojson", WEST, EAST)
     survey, grid = survey_with(tmp_path)
-    with pytest.raises(InputError, match=r"east\.gpkg: no such file"):
+    with pytest.raises(InputError, match=r"east\.gpkg: cannot be read: no such file"):
         read_training(survey, grid)
     geopackage(tmp_path / "east.gpkg", EAST)
     with pytest.raises(InputError, match="polygons of 'mud' overlap those of 'sand'"):
