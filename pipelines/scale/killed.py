@@ -2,9 +2,9 @@
 
     python pipelines/scale/killed.py [--times 100] [--workers 2]
 
-A small survey (ripples, sediments, modelled amplitude) is run once. Then, so many times, a run in an
-empty folder is killed (SIGKILL) after a random time, every product that it left under its final name
-is compared with the finished one, and the run is resumed to its end and compared again.
+A small survey (ripples, sediments, modelled amplitude) is run once. Then, so many times, a run in
+an empty folder is killed (SIGKILL) after a random time, every product that it left under its final
+name is compared with the finished one, and the run is resumed to its end and compared again.
 """
 
 from __future__ import annotations
