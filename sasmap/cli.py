@@ -6,11 +6,13 @@ import argparse
 import logging
 import os
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from sasmap.config import load_survey, survey_schema
 from sasmap.errors import InputError
+from sasmap.wording import duration
 
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -99,6 +101,7 @@ def _positive(text: str) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from sasmap.pipeline import run_survey  # the compiled code loads only where it is needed
+    from sasmap.reporting import summary_lines
 
     _log(options.quiet)
     survey = load_survey(options.survey)
@@ -112,11 +115,8 @@ def _run(options: argparse.Namespace) -> int:
         progress=progress,
     )
     if not options.quiet:
-        counts = ", ".join(f"{count} {label}" for label, count in outcome.counts().items())
-        print(f"cells: {counts or 'none'}")
-        print(f"looks: {outcome.computed} computed, {outcome.kept} kept from earlier runs")
-        print("seconds: " + ", ".join(f"{k} {v:.1f}" for k, v in outcome.seconds.items()))
-        print(f"products: {outcome.output}")
+        for line in summary_lines(outcome):
+            print(line)
     return INCOMPLETE if outcome.failures else COMPLETE
 
 
@@ -145,26 +145,40 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _log(quiet: bool) -> None:
-    logging.basicConfig(format="%(message)s", stream=sys.stderr)
-    logging.getLogger("sasmap").setLevel(logging.WARNING if quiet else logging.INFO)
+    """Say what is logged; the log file in the output folder always has all of it."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    handler.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger = logging.getLogger("sasmap")
+    logger.handlers = [handler]
+    logger.setLevel(logging.INFO)
 
 
 class _Progress:
-    """A bar on a terminal, a line every tenth elsewhere."""
+    """A bar on a terminal, a line every tenth elsewhere: cells done, rate, time left."""
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty()
         self._tenth = 0
+        self._start = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
+        text = f"{done} of {total} cells done{self._pace(done, total)}"
         if self._terminal:
-            filled = 40 * done // total
-            bar = "#" * filled + "." * (40 - filled)
+            filled = 30 * done // total
+            bar = "#" * filled + "." * (30 - filled)
             end = "\n" if done == total else ""
-            print(f"\r[{bar}] {done}/{total}", end=end, file=sys.stderr, flush=True)
+            print(f"\r[{bar}] {text}\033[K", end=end, file=sys.stderr, flush=True)
         elif 10 * done // total > self._tenth:
             self._tenth = 10 * done // total
-            print(f"{done} of {total} cells done", file=sys.stderr, flush=True)
+            print(text, file=sys.stderr, flush=True)
+
+    def _pace(self, done: int, total: int) -> str:
+        seconds = time.monotonic() - self._start
+        if seconds < 1:
+            return ""
+        left = duration((total - done) * seconds / done)
+        return f", {done / seconds:.2g} a second" + (f", {left} left" if done < total else "")
 
 
 def console() -> None:

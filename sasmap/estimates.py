@@ -12,6 +12,7 @@ from sasmap.errors import InputError
 from sasmap.plan import Plan
 from sasmap.sedimentmap import SAMPLE
 from sasmap.store import Store
+from sasmap.wording import duration, size
 from sasmap.work import finished_looks
 
 # Seconds a pixel on one core, measured by pipelines/scale/scale.py: looks without ripples and with
@@ -109,23 +110,6 @@ def _existing(folder: Path) -> Path:
     while not folder.is_dir():
         folder = folder.parent
     return folder
-
-
-def size(count: float) -> str:
-    """Write bytes as people do."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 999.5:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} TB"
-
-
-def duration(seconds: float) -> str:
-    """Write seconds as people do."""
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes / 60:.1f} h"
 
 
 def describe_cost(plan: Plan, workers: int | None) -> Iterator[str]:

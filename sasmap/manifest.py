@@ -31,6 +31,7 @@ class Outcome:
     chains: dict[tuple[int, int], Chain] = field(default_factory=dict)
     keys: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
     sediments: list[dict[str, Any]] = field(default_factory=list)
+    histograms: list[dict[str, list[float]]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     computed: int = 0
@@ -50,7 +51,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
     content = {
         "run_id": plan.run_id,
         "survey": plan.settings.name,
-        "versions": _versions(),
+        "versions": versions(),
         "settings": plan.settings.model_dump(mode="json"),
         "seed": plan.settings.seed,
         "inputs": {_relative(f, base): value for f, value in plan.hashes.items()},
@@ -65,7 +66,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
         "sediment_classes": outcome.sediments,
         "failures": outcome.failures,
         "warnings": list(plan.opened.warnings),
-        "left_out": [*plan.left_out, *_left_out_counts(outcome)],
+        "left_out": [*plan.left_out, *left_out_counts(outcome)],
         "products": [*(p.name for p in outcome.written), MANIFEST],
         "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},
     }
@@ -73,7 +74,8 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
     return path
 
 
-def _left_out_counts(outcome: Outcome) -> Iterator[str]:
+def left_out_counts(outcome: Outcome) -> Iterator[str]:
+    """Tell what looks did not need, and how many."""
     every = [s for summaries in outcome.cells.values() for s in summaries if s is not None]
     for flag in LeftOut:
         count = sum(1 for s in every if flag in s.left_out)
@@ -89,7 +91,8 @@ def _relative(path: Path, base: Path) -> str:
         return os.path.relpath(path, base)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of sasmap and of what it stands on."""
     names = ("numpy", "scipy", "numba", "rasterio", "xarray", "dask", "pyproj")
     return {
         "sasmap": code_version(),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,20 @@ from sasmap.errors import InputError
 from sasmap.estimates import check_fits
 from sasmap.manifest import Clock, Outcome, write_manifest
 from sasmap.plan import Look, Plan, make_plan, tags_of
-from sasmap.productnames import MANIFEST, RIPPLE_PRODUCTS
+from sasmap.productnames import LOG, MANIFEST, RIPPLE_PRODUCTS
+from sasmap.products.colours import QUALITY_COLOURS
 from sasmap.products.model import Mosaic
+from sasmap.products.qgis import categories, write_styles
 from sasmap.products.rasters import float_layer, write_large_cog
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
+from sasmap.products.stac import write_stac
+from sasmap.reporting import make_report
 from sasmap.ripples.chain import chained
 from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.scheduling import cluster, compute
 from sasmap.sedimentstage import sediment_stage
-from sasmap.store import Store
+from sasmap.store import Store, code_version
 from sasmap.survey.cells import Cell
 from sasmap.work import Context
 
@@ -71,15 +76,25 @@ def run_survey(
         check_fits(plan, workers)
     with cluster(scheduler) as client:
         store = Store(_made(survey.output_folder))
-        for warning in plan.opened.warnings:
-            log.warning(warning)
-        store.remove_leftovers()
-        if restart:
-            store.clear()
-        outcome = Outcome(store.output, seconds=clock.seconds)
-        if survey.ripples is not None:
-            with clock.stage("ripples"):
-                _estimate_cells(plan, store, outcome, workers, client, progress)
+        with _logged(store.output / LOG):
+            log.info("sasmap %s, run %s of %s", code_version(), plan.run_id, survey.path)
+            for warning in plan.opened.warnings:
+                log.warning(warning)
+            store.remove_leftovers()
+            if restart:
+                store.clear()
+            outcome = Outcome(store.output, seconds=clock.seconds)
+            if survey.ripples is not None:
+                with clock.stage("ripples"):
+                    _estimate_cells(plan, store, outcome, workers, client, progress)
+            _make_products(plan, store, outcome, clock, workers)
+    return outcome
+
+
+def _make_products(
+    plan: Plan, store: Store, outcome: Outcome, clock: Clock, workers: int | None
+) -> None:
+    survey = plan.settings
     if survey.ripples is not None:
         with clock.stage("products"):
             _write_ripples(plan, store, outcome)
@@ -88,10 +103,32 @@ def run_survey(
         if left:
             log.warning("of an earlier run, not of this one: %s", ", ".join(left))
     if survey.sediments is not None:
+        log.info("sediments")
         with clock.stage("sediments"):
             _attempt(outcome, "sediments", lambda: sediment_stage(plan, store, outcome, workers))
+    log.info("report")
+    with clock.stage("report"):
+        _present(plan, store, outcome)
     _attempt(outcome, MANIFEST, lambda: [write_manifest(plan, store, outcome)])
-    return outcome
+
+
+@contextmanager
+def _logged(path: Path) -> Iterator[None]:
+    """Write what is said to a log file as well, with the time."""
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    before = log.level
+    log.setLevel(logging.INFO)
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(before)
+        handler.close()
 
 
 def _made(folder: Path) -> Path:
@@ -139,6 +176,20 @@ def _estimate_cells(
 def _failure(cell: Cell, look: Look, fault: str) -> dict[str, Any]:
     log.warning("cell row %d, column %d, pass %s: %s", *cell, look.label, fault)
     return {"row": cell.row, "column": cell.column, "pass": look.label, "fault": fault}
+
+
+def _present(plan: Plan, store: Store, outcome: Outcome) -> None:
+    """Styles, project, STAC item and report."""
+    written = [p.name for p in outcome.written]
+    names = categories([c["name"] for c in outcome.sediments], QUALITY_COLOURS)
+    _attempt(outcome, "styles", lambda: write_styles(store.output, written, names, store.scratch))
+    grid = plan.opened.grid
+    left, top = grid.left, grid.top
+    box = left, top - grid.rows * grid.size, left + grid.columns * grid.size, top
+    path = store.output / "stac.json"
+    known = plan.run_id, plan.settings.name, box, grid.crs
+    _attempt(outcome, path.name, lambda: [write_stac(path, *known, written, store.scratch)])
+    _attempt(outcome, "report.html", lambda: [make_report(plan, store, outcome, names)])
 
 
 def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -> None:

@@ -19,4 +19,21 @@ SEDIMENT_PRODUCTS = (
     "sediment_classes.json",
 )
 MANIFEST = "run.json"
-PRODUCTS = frozenset({*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS, MANIFEST})
+LOG = "sasmap.log"
+STYLES = tuple(
+    f"{name.rpartition('.')[0]}.qml"
+    for name in (*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS)
+    if name.endswith((".tif", ".gpkg"))
+)
+PRODUCTS = frozenset(
+    {
+        *RIPPLE_PRODUCTS,
+        *SEDIMENT_PRODUCTS,
+        *STYLES,
+        "survey.qgs",
+        "report.html",
+        "stac.json",
+        LOG,
+        MANIFEST,
+    }
+)

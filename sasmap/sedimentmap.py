@@ -41,6 +41,8 @@ STEP, DEEPEST = 0.1, 12.7
 PROBABILITY = 0.002
 # Modelled amplitude, over that of flat sea floor, below which there is shadow.
 SHADOW = 0.25
+# Bins of a class's amplitudes in the report, and cells that they are of, at most.
+BINS, DRAWN = 40, 24
 FORMAT = "sasmap sediment classes 1"
 MAX_BYTES = 2**24
 
@@ -136,6 +138,33 @@ class SedimentMap:
     lines: tuple[Line, ...]
     classes: Classes
     names: tuple[str, ...]
+
+    def histograms(self, ground: Ground) -> list[dict[str, list[float]]]:
+        """Amplitudes of each class on the map, less gain and trend, of some cells.
+
+        Parameters
+        ----------
+        ground : Ground
+
+        Returns
+        -------
+        list of dict
+            ``edges`` and ``counts`` of each class.
+        """
+        top = [4 * np.sqrt(law.mean_square) for law in self.classes.laws]
+        edges = [np.linspace(0, v, BINS + 1) for v in top]
+        counts = [np.zeros(BINS) for _ in top]
+        every = [(r, c) for r in range(ground.rows) for c in range(ground.columns)]
+        for place in _thinned(every, DRAWN):
+            label = self.label[_pixels_of(place, ground.window)]
+            for k, look in enumerate(ground.cell(*place)):
+                trend = self.classes.log_trend(k, np.nan_to_num(look.cotangent, nan=1.0))
+                flat = look.amplitude * np.exp(-trend)
+                for i, count in enumerate(counts):
+                    count += np.histogram(flat[label == i + 1], edges[i])[0]
+        return [
+            {"edges": e.tolist(), "counts": c.tolist()} for e, c in zip(edges, counts, strict=True)
+        ]
 
     def pixels(self) -> NDArray[np.int64]:
         """Count pixels by number of the class (256,)."""
@@ -434,7 +463,7 @@ def read_model(path: Path) -> Known:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r}")
-        laws = tuple(_law(one) for one in content["classes"])
+        laws = tuple(law_of(one) for one in content["classes"])
         names = tuple(str(one["name"]) for one in content["classes"])
         reach = float(content["reference_cotangent"])
         if not laws or not 0 < reach < np.inf or len(laws) > 250:
@@ -446,7 +475,14 @@ def read_model(path: Path) -> Known:
         raise InputError(f"{path}: {expected}: {' '.join(str(error).split())}") from None
 
 
-def _law(content: dict[str, Any]) -> Law:
+def law_of(content: dict[str, Any]) -> Law:
+    """Read a law from what :func:`model_text` wrote of it.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        Where it is none.
+    """
     values = {f.name: content[f.name] for f in fields(Law)}
     law = Law(**{**values, "errors": tuple(values["errors"])})
     numbers = (law.scale, law.mean_square)

@@ -36,7 +36,7 @@ def sediment_stage(plan: Plan, store: Store, outcome: Outcome, workers: int | No
     kept = _kept(store, key)
     if kept is None:
         return _map(plan, store, outcome, workers, key)
-    outcome.sediments = kept["table"]
+    outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
     return [store.output / name for name in kept["files"]]
 
 
@@ -63,7 +63,11 @@ def _kept(store: Store, key: str) -> dict[str, Any] | None:
     """Return what an earlier run recorded of the same map, if its files are still what it wrote."""
     try:
         record = json.loads((store.folder / RECORD).read_text(encoding="utf-8"))
-        if record["key"] != key or set(record["files"]) - set(SEDIMENT_PRODUCTS):
+        if (
+            record["key"] != key
+            or "histograms" not in record
+            or set(record["files"]) - set(SEDIMENT_PRODUCTS)
+        ):
             return None
         for name, value in record["files"].items():
             if hash_file(store.output / name) != value:
@@ -99,16 +103,22 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
             store.scratch,
         )
         outcome.sediments = found.table(abs(transform.determinant))
+        outcome.histograms = found.histograms(ground)
     written.append(store.output / "sediment_classes.json")
     write_text(written[-1], model_text(found), store.scratch)
     if not reader.faults:
-        _keep(store, key, outcome.sediments, written)
+        _keep(store, key, outcome, written)
     return written
 
 
-def _keep(store: Store, key: str, table: list[dict[str, Any]], written: list[Path]) -> None:
+def _keep(store: Store, key: str, outcome: Outcome, written: list[Path]) -> None:
     files = {path.name: hash_file(path) for path in written}
-    record = {"key": key, "table": table, "files": files}
+    record = {
+        "key": key,
+        "table": outcome.sediments,
+        "histograms": outcome.histograms,
+        "files": files,
+    }
     write_text(store.folder / RECORD, json.dumps(record), store.scratch)
 
 

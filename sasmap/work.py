@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from sasmap.products.model import on_cell
 from sasmap.ripples.chain import next_prior
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimate import estimate
+from sasmap.ripples.likelihood import Prior
 from sasmap.ripples.passes import Summary, summarise
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.settings import RippleSettings
@@ -87,8 +89,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
     elif _shown(plan, cell, look, clip) < MIN_VALID:
         summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
     else:
-        rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
-        posterior = estimate(Clip.from_array(clip), settings, rng=rng, prior=prior)
+        posterior = _estimated(plan, cell, look, clip, settings, prior)
         summary = summarise(posterior)
         arrays = _modelled(plan, cell, Clip.from_array(clip), posterior)
     if plan.settings.sediments is not None and clip is not None:
@@ -98,6 +99,46 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
         store.save_arrays(key, arrays)
     store.save(key, summary)
     return LookResult(summary, None, True, key)
+
+
+def _estimated(
+    plan: Plan, cell: Cell, look: Look, clip: xr.DataArray, settings: RippleSettings, prior: Prior
+) -> Posterior:
+    rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
+    return estimate(Clip.from_array(clip), settings, rng=rng, prior=prior)
+
+
+def estimate_again(
+    context: Context, cell: Cell, k: int, summaries: Sequence[Summary | None]
+) -> tuple[xr.DataArray | None, Posterior | None]:
+    """Estimate a look once more, with its model: the same to the bit, for the report.
+
+    Parameters
+    ----------
+    context : Context
+    cell : Cell
+    k : int
+        Look.
+    summaries : sequence of Summary or None
+        What the run found of each look at the cell.
+
+    Returns
+    -------
+    clip : DataArray or None
+    posterior : Posterior or None
+        None where the look was not estimated.
+    """
+    plan = context.plan
+    look = plan.looks[k]
+    clip = clip_of(plan, cell, look, look.side)
+    summary = summaries[k]
+    if clip is None or summary is None or summary.quality is Quality.TOO_FEW_PIXELS:
+        return clip, None
+    settings = ripple_settings(plan).model_copy(update={"keep_model": True})
+    published = settings.method == "zare-cobb"
+    earlier = [s for s in summaries[:k] if s is not None] if published else []
+    prior = next_prior(earlier, settings)
+    return clip, _estimated(plan, cell, look, clip, settings, prior)
 
 
 def finished_looks(plan: Plan, store: Store) -> int:

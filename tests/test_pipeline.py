@@ -32,14 +32,6 @@ PRODUCTS = (
 )
 
 
-@pytest.fixture(scope="session")
-def sample(tmp_path_factory):
-    """The sample survey, run once with two workers."""
-    output = tmp_path_factory.mktemp("sample")
-    survey = sasmap.load_survey(SAMPLE / "survey.yaml")
-    return output, run_survey(survey, output=output, workers=2)
-
-
 def products(folder):
     mapped = (folder / "sediment_class.tif").exists()  # the small surveys have no sediments block
     names = PRODUCTS if mapped else [name for name in PRODUCTS if "sediment" not in name]
@@ -110,7 +102,7 @@ def test_manifest_says_what_ran_and_what_was_left_out(sample):
         "near/near_r0_c0.tif", "near.csv", "far/far_r0_c0.tif", "far.csv",
     }  # fmt: skip
     assert manifest["looks_computed"] == 12
-    assert set(manifest["seconds"]) == {"check", "ripples", "products", "sediments"}
+    assert set(manifest["seconds"]) == {"check", "ripples", "products", "sediments", "report"}
     levels = [c["intensity_dB_over_first"] for c in manifest["sediment_classes"]]
     np.testing.assert_allclose(levels, [0.0, 4.56, 7.98], atol=0.3)  # mud, sand, gravel
     assert manifest["settings"]["ripples"]["chains"] == 4

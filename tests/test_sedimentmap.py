@@ -75,10 +75,10 @@ def test_named_classes_are_mapped_and_reused(scene, tmp_path):
 def test_an_unchanged_map_is_kept_and_a_changed_one_made_anew(scene, tmp_path):
     path = survey_of(scene, classes=2)
     run(path, tmp_path)
-    products = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("sediment*")}
+    products = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("sediment*.[tg]*")}
     outcome, _ = run(path, tmp_path)
     assert len(outcome.sediments) == 2
-    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("sediment*")} == products
+    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("sediment*.[tg]*")} == products
     (tmp_path / "sediment_class.tif").write_bytes(b"touched")
     _, label = run(path, tmp_path)
     assert label.max() == 2

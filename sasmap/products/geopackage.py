@@ -71,6 +71,7 @@ def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch:
                 layer="boundaries",
                 geometry_type="LineString",
                 crs=crs,
+                dataset_options={"VERSION": "1.2"},  # which all readers know
             )
         except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
             draft.unlink(missing_ok=True)

@@ -20,17 +20,6 @@ from sasmap.products.files import write_text, written_whole
 # Rows of pixels that are written at once, and GDAL's cache, MB.
 STRIPE, CACHE = 512, 64
 
-# Okabe and Ito's colours, told apart by colour-blind readers.
-CLASS_COLOURS = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (0, 114, 178),
-    (213, 94, 0),
-    (204, 121, 167),
-)
-
 
 @dataclass(frozen=True)
 class Category:

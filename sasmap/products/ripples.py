@@ -13,23 +13,13 @@ import xarray as xr
 from affine import Affine
 from numpy.typing import NDArray
 
+from sasmap.products.colours import QUALITY_COLOURS
 from sasmap.products.files import written_whole
 from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
 from sasmap.ripples.chain import Chain
 from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
 
-# Colours after Okabe and Ito, told apart by colour-blind readers.
-QUALITY_COLOURS = {
-    Quality.NO_DATA: (0, 0, 0, 0),
-    Quality.GOOD: (0, 158, 115, 255),
-    Quality.NO_RIPPLES: (200, 200, 200, 255),
-    Quality.NOT_CONVERGED: (230, 159, 0, 255),
-    Quality.CONTRADICTION: (204, 121, 167, 255),
-    Quality.NOT_IDENTIFIABLE: (86, 180, 233, 255),
-    Quality.TOO_FEW_PIXELS: (240, 228, 66, 255),
-    Quality.FAILED: (213, 94, 0, 255),
-}
 STATISTICS = ("mean", "sd", "q05", "q95")
 # Of f, A_H and the azimuth.
 CONVERGENCE = ("rhat", "ess_bulk", "ess_tail")
@@ -106,7 +96,8 @@ def write_ripple_rasters(
     layer = float_layer(["probability of ripples"], ["1"], tags)
     written.append(folder / "ripple_probability.tif")
     write_cog(written[-1], as_bands(probability), layer, transform, crs, scratch)
-    categories = {int(q): Category(q.label, QUALITY_COLOURS[q]) for q in Quality}
+    categories = {int(q): Category(q.label, (*c, 255)) for q, c in QUALITY_COLOURS.items()}
+    categories[int(Quality.NO_DATA)] = Category(Quality.NO_DATA.label, (0, 0, 0, 0))
     layer = Layer(["quality"], [""], 0, "uint8", categories, tags)
     written.append(folder / "ripple_quality.tif")
     write_cog(written[-1], as_bands(quality), layer, transform, crs, scratch)

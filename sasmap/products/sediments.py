@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 from affine import Affine
 
+from sasmap.products.colours import class_colour
 from sasmap.products.geopackage import Feature, write_boundaries
-from sasmap.products.rasters import CLASS_COLOURS, Category, Layer, float_layer, write_large_cog
+from sasmap.products.rasters import Category, Layer, float_layer, write_large_cog
 from sasmap.sediments.mapping import Line
-
-# More classes take them again, darker.
-COLOURS = (*CLASS_COLOURS, (140, 140, 140))
 
 
 def write_sediments(
@@ -52,9 +50,7 @@ def write_sediments(
     """
     categories = {0: Category("no data", (0, 0, 0, 0))}
     for i, name in enumerate(names):
-        shade = 0.7 ** (i // len(COLOURS))
-        red, green, blue = (int(shade * v) for v in COLOURS[i % len(COLOURS)])
-        categories[i + 1] = Category(name, (red, green, blue, 255))
+        categories[i + 1] = Category(name, (*class_colour(i), 255))
     written = [folder / "sediment_class.tif"]
     layer = Layer(["sediment class"], [""], 0, "uint8", categories, tags)
     write_large_cog(written[0], label, layer, transform, crs, scratch)

@@ -16,8 +16,9 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from sasmap.errors import InputError
+from sasmap.products.colours import class_colour
 from sasmap.products.files import write_text, written_whole
-from sasmap.products.rasters import CLASS_COLOURS, Category, Layer, as_bands, float_layer, write_cog
+from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
 from sasmap.simulate.image import NODATA, record, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
@@ -211,8 +212,7 @@ def _write_truth(scene: Scene, floor: SeaFloor, folder: Path, scratch: Path) -> 
 def _class_layer(scene: Scene) -> Layer:
     categories = {0: Category("no data", (0, 0, 0, 0))}
     for k, sediment in enumerate(scene.sediments):
-        colour = (*CLASS_COLOURS[k % len(CLASS_COLOURS)], 255)
-        categories[k + 1] = Category(sediment.name, colour)
+        categories[k + 1] = Category(sediment.name, (*class_colour(k), 255))
     return Layer(["sediment class"], [""], 0, "uint8", categories)
 
 

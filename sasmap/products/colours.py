@@ -1,0 +1,104 @@
+"""The one source of colours: class rasters, styles, the report.
+
+All told apart by colour-blind readers: categories after Okabe and Ito, ramps perceptually uniform,
+the azimuth's cyclic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+
+from sasmap.ripples.posterior import Quality
+
+Colour = tuple[int, int, int]
+
+CLASS_COLOURS: tuple[Colour, ...] = (
+    (230, 159, 0),
+    (86, 180, 233),
+    (0, 158, 115),
+    (240, 228, 66),
+    (0, 114, 178),
+    (213, 94, 0),
+    (204, 121, 167),
+    (140, 140, 140),
+)
+QUALITY_COLOURS: dict[Quality, Colour] = {
+    Quality.GOOD: (0, 158, 115),
+    Quality.NO_RIPPLES: (200, 200, 200),
+    Quality.NOT_CONVERGED: (230, 159, 0),
+    Quality.CONTRADICTION: (204, 121, 167),
+    Quality.NOT_IDENTIFIABLE: (86, 180, 233),
+    Quality.TOO_FEW_PIXELS: (240, 228, 66),
+    Quality.FAILED: (213, 94, 0),
+}
+# Of more classes than there are colours the next ones are darker by this.
+SHADE = 0.7
+STOPS = 9
+
+
+class Ramp(NamedTuple):
+    """How a continuous raster is drawn.
+
+    Attributes
+    ----------
+    name : str
+        Of matplotlib's colour map.
+    title, unit : str
+    limits : tuple of float or None
+        Values of the first and last colour; None for those of the data.
+    """
+
+    name: str
+    title: str
+    unit: str
+    limits: tuple[float, float] | None = None
+
+
+RAMPS = {
+    "ripple_frequency.tif": Ramp("viridis", "Ripple frequency f", "cycles/m"),
+    "ripple_height.tif": Ramp("magma", "Ripple height A_H", "m"),
+    "ripple_azimuth.tif": Ramp("twilight", "Azimuth of the crest normal", "degrees", (0.0, 180.0)),
+    "ripple_probability.tif": Ramp("cividis", "Probability of ripples", "", (0.0, 1.0)),
+    "sediment_confidence.tif": Ramp("cividis", "Probability of the class", "", (0.0, 1.0)),
+    "modelled_amplitude.tif": Ramp("gray", "Modelled amplitude", ""),
+}
+PASSES = Ramp("viridis", "Passes used", "")
+
+
+def class_colour(k: int) -> Colour:
+    """Colour of the k-th class, from 0."""
+    shade = SHADE ** (k // len(CLASS_COLOURS))
+    red, green, blue = CLASS_COLOURS[k % len(CLASS_COLOURS)]
+    return int(shade * red), int(shade * green), int(shade * blue)
+
+
+def stops(ramp: Ramp, low: float, high: float, count: int = STOPS) -> list[tuple[float, Colour]]:
+    """Values and colours along a ramp.
+
+    Parameters
+    ----------
+    ramp : Ramp
+    low, high : float
+    count : int
+
+    Returns
+    -------
+    list of (float, colour)
+    """
+    colours = mpl.colormaps[ramp.name](np.linspace(0, 1, count))[:, :3]
+    values = np.linspace(low, high, count)
+    return [(float(v), _whole(c)) for v, c in zip(values, colours, strict=True)]
+
+
+def _whole(colour: Sequence[float]) -> Colour:
+    red, green, blue = (round(255 * float(v)) for v in colour)
+    return red, green, blue
+
+
+def hexadecimal(colour: Colour) -> str:
+    """Write a colour as #rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -1,0 +1,18 @@
+"""What several tests share."""
+
+from pathlib import Path
+
+import pytest
+
+import sasmap
+from sasmap.pipeline import run_survey
+
+SAMPLE = Path(__file__).resolve().parents[1] / "sample_data"
+
+
+@pytest.fixture(scope="session")
+def sample(tmp_path_factory):
+    """The sample survey, run once with two workers."""
+    output = tmp_path_factory.mktemp("sample")
+    survey = sasmap.load_survey(SAMPLE / "survey.yaml")
+    return output, run_survey(survey, output=output, workers=2)
