@@ -39,7 +39,7 @@ class _Block(BaseModel):
 class PassSettings(_Block):
     """One pass of the sonar: its tiles, its navigation, and how it looked."""
 
-    name: Name
+    name: Name = Field(description="of its own for each pass")
     tiles: Annotated[tuple[Name, ...], Field(min_length=1)] = Field(
         description="globs relative to the survey file; single-band amplitude GeoTIFFs"
     )
@@ -51,7 +51,9 @@ class PassSettings(_Block):
         description="CRS of the navigation; default WGS 84 for longitude, latitude, "
         "the first tile's for x, y",
     )
-    side: Literal["port", "starboard", "both"]
+    side: Literal["port", "starboard", "both"] = Field(
+        description="of the track that the tiles show; both may cover one side only"
+    )
     range: Literal["ground", "slant"] = Field(
         "ground", description="what the tiles' across-track axis is"
     )
@@ -65,8 +67,8 @@ class PassSettings(_Block):
 class ClassSettings(_Block):
     """A sediment class with the polygons that show it."""
 
-    name: Name
-    training: Name = Field(description="GeoJSON or GeoPackage of polygons")
+    name: Name = Field(description="of its own for each class")
+    training: Name = Field(description="GeoJSON or GeoPackage of polygons, in any CRS")
 
 
 class SedimentSettings(_Block):
@@ -100,14 +102,18 @@ class SedimentSettings(_Block):
 class Survey(_Block):
     """A survey: what to map, from which passes, into which folder."""
 
-    name: Name
+    name: Name = Field(description="shown in products and the report")
     output: Name = Field("out", description="folder of the products, relative to the survey file")
     crs: str | None = Field(None, description="CRS of the products; default the first tile's")
     window: Annotated[int, Field(ge=3, le=10_000)] = Field(
         500, description="pixels; a cell is window times the first tile's pixel size"
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    passes: Annotated[tuple[PassSettings, ...], Field(min_length=1)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
+        1, description="of all random numbers: the same gives the same bytes"
+    )
+    passes: Annotated[tuple[PassSettings, ...], Field(min_length=1)] = Field(
+        description="one entry a pass"
+    )
     ripples: RippleSettings | None = Field(None, description="no block: no ripple products")
     sediments: SedimentSettings | None = Field(None, description="no block: no sediment products")
 
@@ -185,6 +191,12 @@ def load_survey(path: str | Path) -> Survey:
     ------
     InputError
         With one line for every fault found, each naming file and key.
+
+    Examples
+    --------
+    >>> survey = load_survey("sample_data/survey.yaml")
+    >>> [p.name for p in survey.passes], survey.window
+    (['near', 'far'], 500)
     """
     path = Path(path)
     survey = parse_model(Survey, load_yaml(path), path)

@@ -85,6 +85,17 @@ def estimate(
     crests bend, folds the pixels by that phase and samples the speckle likelihood of
     :mod:`sasmap.ripples.kernel`; "zare-cobb" is the published sampler (Zare and Cobb 2013), which
     takes crests as straight and looked at square-on.
+
+    Examples
+    --------
+    >>> import sasmap
+    >>> survey = sasmap.load_survey("sample_data/survey.yaml")
+    >>> clip = sasmap.open_pass(survey, "near")[:500, :500]  # f is 0.6 cycles/m, A_H 0.07 m
+    >>> posterior = estimate(clip, survey.ripples, rng=1)
+    >>> posterior.quality.label, posterior.draws["frequency"].dims
+    ('good', ('chain', 'draw'))
+    >>> abs(float(posterior.mean.frequency) - 0.6) < 0.003
+    True
     """
     settings = settings or RippleSettings()
     rng = np.random.default_rng(rng)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -178,6 +179,31 @@ class Posterior:
         if "azimuth" not in self.draws:
             return float("nan"), float("nan")
         return axial(self.draws["azimuth"].values)
+
+    def to_arviz(self) -> Any:
+        """Convert the Markov chains for ArviZ, where it is installed.
+
+        Returns
+        -------
+        InferenceData or DataTree
+            With a group ``posterior`` of f (cycles/m), A_H (m) and the rest, by chain and draw.
+
+        Raises
+        ------
+        ImportError
+            Where ArviZ is not installed.
+        ValueError
+            Where nothing was sampled.
+        """
+        import arviz  # optional
+
+        if not self.sampled:
+            raise ValueError("nothing was sampled")
+        chains = self.chains if self.chains.sizes else self.draws
+        values = {str(name): chains[name].values for name in chains}
+        if hasattr(arviz, "InferenceData"):
+            return arviz.from_dict(posterior=values)
+        return arviz.from_dict({"posterior": values})
 
     @property
     def _judged(self) -> dict[str, FloatArray]:

@@ -334,6 +334,15 @@ def open_pass(survey: Survey, name: str) -> xr.DataArray:
     ------
     InputError
         Where the survey has no such pass, or a file of the survey is faulty.
+
+    Examples
+    --------
+    >>> import sasmap
+    >>> amplitude = open_pass(sasmap.load_survey("sample_data/survey.yaml"), "near")
+    >>> amplitude.dims, amplitude.shape
+    (('y', 'x'), (1000, 1500))
+    >>> float(amplitude.ground_range[0, 0].round(2)), amplitude.ground_range.units
+    (8.26, 'm')
     """
     survey.find_pass(name)
     opened = open_survey(survey)

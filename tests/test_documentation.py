@@ -1,0 +1,59 @@
+"""What the documentation says is so."""
+
+import doctest
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sasmap.reference import survey_reference
+
+ROOT = Path(__file__).resolve().parents[1]
+MODULES = (
+    "sasmap.config",
+    "sasmap.survey.passes",
+    "sasmap.ripples.estimate",
+    "sasmap.sediments.distributions",
+)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_of_docstrings(name, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    found = doctest.testmod(importlib.import_module(name))
+    assert found.attempted > 0
+    assert found.failed == 0
+
+
+def test_reference_of_keys_is_that_of_the_model():
+    assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == survey_reference()
+
+
+def test_files_that_the_readme_names_are_there():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name in re.findall(r"\]\((?!http)([^)#]+)\)", text):
+        assert (ROOT / name).exists(), name
+    for name in re.findall(r"python (pipelines/[\w/]+\.py)", text):
+        assert (ROOT / name).exists(), name
+
+
+def test_the_tutorial_runs(tmp_path):
+    pytest.importorskip("matplotlib")
+    script = ROOT / "pipelines" / "tutorial.py"
+    command = [sys.executable, str(script), "--picture", str(tmp_path / "posterior.png")]
+    subprocess.run(command, cwd=ROOT, check=True, timeout=120)
+    assert (tmp_path / "posterior.png").stat().st_size > 10_000
+
+
+def test_posteriors_go_to_arviz():
+    arviz = pytest.importorskip("arviz")
+    from sasmap.ripples import estimate
+    from tests.helpers import zare_cobb_clip
+
+    posterior = estimate(zare_cobb_clip(24.4, 36.6, 0.6, 0.07, size=300), rng=1)
+    converted = posterior.to_arviz()
+    assert converted.posterior["frequency"].dims == ("chain", "draw")
+    assert "height" in arviz.summary(converted).index
