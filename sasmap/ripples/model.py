@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import maximum_filter1d, uniform_filter
 
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.fit import Fit
@@ -78,6 +78,8 @@ def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
     trend = np.sqrt(spread_boxes(fit.trend, phase.box, image.shape))
     known &= _borne_out(image, trend, above, known, image.per_pixel(phase.wave))
     dark = unfold_pixels(known, cycles, plan, lit) < SHADOW
+    if fit.reference is None:  # the phase is a field, known to an error
+        dark = _as_far_as_it_may_be(dark, np.exp(chosen[:, 5].mean()), image.per_pixel(phase.wave))
     relief[known] = np.where(dark, 0.0, above)[known]
     result[known] = RAYLEIGH * image.rms * amplitude[known] * trend[known]
     return Modelled(result, relief)
@@ -93,6 +95,14 @@ def _levels(theta: FloatArray, fit: Fit) -> FloatArray:
     over = pulse / np.maximum(gain[:, None] * (fit.data.flat + noise), 1e-300)
     lit = np.maximum(pulse / gain[:, None] - noise, 0.0) / np.maximum(fit.data.flat, 1e-300)
     return np.asarray(np.sqrt(np.stack([pulse, over, lit])))
+
+
+def _as_far_as_it_may_be(dark: BoolArray, error: float, cycles: FloatArray) -> BoolArray:
+    """Widen shadow, across the crests, by twice the error of the field of phases (rad)."""
+    along = int(np.argmax(np.abs(cycles)))  # of columns and rows, those that crests run across
+    pixels = error / (2 * np.pi * np.abs(cycles[along]))
+    size = 2 * int(np.ceil(2 * pixels)) + 1
+    return np.asarray(maximum_filter1d(dark, size, axis=1 - along, mode="nearest"))
 
 
 def _borne_out(

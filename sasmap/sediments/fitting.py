@@ -306,11 +306,12 @@ def fit(
 def starts_of(bins: Bins, family: Family) -> list[FloatArray]:
     """Where climbs begin: by moments, and for generalised K at both ends of its ridge."""
     share = bins.samples / bins.samples.sum()
-    square = float(share @ bins.centre**2)
-    ratio = float(share @ bins.centre**4) / square**2
-    logs = np.log(np.maximum(bins.centre, 1e-9 * np.sqrt(square)))
+    largest = float(bins.centre.max())
+    rms = largest * float(np.sqrt(share @ (bins.centre / largest) ** 2))
+    ratio = float(share @ (bins.centre / rms) ** 4)
+    logs = np.log(np.maximum(bins.centre / rms, 1e-9))
     spread = float(np.sqrt(share @ (logs - share @ logs) ** 2))
-    power = np.log(square)
+    power = 2 * np.log(rms)
     nu = np.log(np.clip(2 / max(ratio - 2, 1e-3), 0.05, 1e3))
     if family == "weibull":
         return [np.array([np.log(1.28 / max(spread, 1e-3)), 0.0, power])]

@@ -121,7 +121,11 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     factor = _noise_factor(looks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
-    laws = _merged(looks, _pruned(labels, count or 1), count, (trends, centre, factor))
+    how = trends, centre, factor
+    # groups that are one sediment first: each would be beside the other everywhere
+    labels, _ = _merged(looks, labels, count or 1, how, APART)
+    labels = _pruned(labels, count or 1)
+    _, laws = _merged(looks, labels, count or 1, how, APART if count is None else np.inf)
     order = np.argsort([law.mean_square for law in laws], kind="stable")
     none = _dark_law(looks, dark, trends, centre, factor)
     return Classes(tuple(laws[i] for i in order), trends, centre, factor, none)
@@ -419,21 +423,22 @@ def _laws(
 def _merged(
     looks: Sequence[Look],
     labels: NDArray[np.int64],
-    count: int | None,
+    least: int,
     how: tuple[FloatArray, float, float],
-) -> list[Law]:
-    """Unite classes whose laws tell too little apart, or the nearest until `count` are left."""
+    apart: float,
+) -> tuple[NDArray[np.int64], list[Law]]:
+    """Unite classes whose laws differ by less than so much, the nearest first; `least` are left."""
     laws = _laws(looks, labels, *how)
-    while len(laws) > (count or 1):
+    while len(laws) > least:
         each = range(len(laws))
         pairs = [(separation(laws[i], laws[j]), i, j) for i in each for j in range(i)]
-        least, i, j = min(pairs)
-        if count is None and least > APART:
+        nearest, i, j = min(pairs)
+        if nearest > apart:
             break
         labels = np.where(labels == i, j, labels)
         labels = np.where(labels > i, labels - 1, labels)
         laws = _laws(looks, labels, *how)
-    return laws
+    return labels, laws
 
 
 def separation(first: Law, second: Law) -> float:
