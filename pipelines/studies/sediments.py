@@ -4,8 +4,8 @@
 
 Fits: generalised K samples (nu 2, kappa 1; and K, nu 4) of 256 to 65 536, by maximum likelihood,
 even moments, log-moments and least squares on a histogram (G 3.4). Choice: sasmap's (the simplest
-law the data do not reject) beside always the generalised K and always Rayleigh. Loss is the mean log
-likelihood a sample, times their number, that a fitted law lacks of the true one on fresh samples
+law the data do not reject) beside always the generalised K and always Rayleigh. Loss is the mean
+log likelihood a sample, times their number, that a fitted law lacks of the true one on fresh data
 (half the number of parameters is ideal). Boundaries: wavy ones at 0.15 nat a pixel by windows of
 several sizes and by linked nodes of several spacings. Writes sediments.csv and sediments.md.
 """

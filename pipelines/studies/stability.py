@@ -218,7 +218,7 @@ STUDIES: dict[str, tuple[Callable[[int], Iterator[tuple[str, float]]], str, floa
         separations, "scales 1 to 1e6 apart, either way", 0.2),
     "R-hat and ESS under shifts": (convergence, "1 to 1e10 sds", 1e-3),
     "crest rule within line of sight (share)": (shadows, "grazing 0.01 to 80 degrees", 1e-3),
-    "scattering amplitude (share not finite)": (amplitudes, "grazing 0 to 90 degrees, any slope", 0.0),
+    "scattering amplitude (share not finite)": (amplitudes, "grazing 0 to 90 degrees", 0.0),
     "boundary by nodes (px)": (boundaries, "contrast 0.01 to 1e9 nats a pixel", 0.6),
     "distance from the track (m)": (tracks, "2 to 100 000 pings, to 9e6 m from the origin", 1e-6),
 }  # fmt: skip
@@ -237,7 +237,8 @@ def main() -> None:
     text = "| what | over | worst | where | limit | |\n|---|---|---|---|---|---|\n"
     for line in lines:
         met = "met" if line.worst <= line.limit else "**missed**"
-        text += f"| {line.what} | {line.over} | {line.worst:.1e} | {line.where} | {line.limit:g} | {met} |\n"
+        cells = (line.what, line.over, f"{line.worst:.1e}", line.where, f"{line.limit:g}", met)
+        text += f"| {' | '.join(cells)} |\n"
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / "stability.md").write_text(text, encoding="utf-8")
     print(text)
