@@ -101,3 +101,26 @@ def test_a_product_that_cannot_be_written_is_named_and_the_rest_is_there(tmp_pat
     assert "No space left" in failure["fault"]
     assert (tmp_path / "out" / "ripple_quality.tif").exists()
     assert json.loads((tmp_path / "out" / "run.json").read_text())["failures"] == [failure]
+
+
+def test_a_full_disk_fails_its_cells_by_name_and_ends_with_the_rest(tmp_path, monkeypatch, capsys):
+    from sasmap.cli import main
+    from sasmap.store import Store
+
+    path = small_survey(tmp_path)
+    save, saved = Store.save, []
+
+    def full(self, key, summary):
+        saved.append(key)
+        if len(saved) == 2:
+            raise OSError(28, "No space left on device")
+        save(self, key, summary)
+
+    monkeypatch.setattr(Store, "save", full)
+    assert main(["run", str(path), "--quiet", "--workers", "1"]) == 1
+    assert "No space left on device" in capsys.readouterr().err
+    failures = json.loads((tmp_path / "out" / "run.json").read_text())["failures"]
+    assert len(failures) == 1
+    monkeypatch.setattr(Store, "save", save)
+    again = run_survey(sasmap.load_survey(path))
+    assert (again.kept, again.computed, again.failures) == (5, 1, [])
