@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 Read = Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
 
 # Pixels, of all looks, from which classes are found, and cells they come from at most.
-SAMPLE, SAMPLED_CELLS = 6_000_000, 100
+SAMPLE, SAMPLED_CELLS = 5_000_000, 64
 # Pixels a side, about, of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
@@ -335,10 +335,14 @@ def _classes(
 ) -> Classes | None:
     """Classes from a sample of the survey; None where that shows nothing."""
     cells, side = _sampled(ground, known)
-    read = list(mapped(lambda place: ground.cell(*place), cells, workers))
-    width = int(np.ceil(np.sqrt(len(cells))))
+
+    def middles(place: tuple[int, int]) -> list[Look]:
+        # all of a cell is read, and no more than its middle kept
+        return [Look(*(_middle(v, side).copy() for v in look)) for look in ground.cell(*place)]
+
+    read = list(mapped(middles, cells, workers))
     whole = side == ground.window and len(cells) == ground.rows * ground.columns
-    width = ground.columns if whole else width
+    width = ground.columns if whole else int(np.ceil(np.sqrt(len(cells))))
     looks = [
         Look(*(_laid([cell[k][i] for cell in read], side, width, whole) for i in range(2)))
         for k in range(ground.looks)
@@ -383,12 +387,14 @@ def _laid(parts: Sequence[NDArray[Any]], side: int, width: int, whole: bool) -> 
     height = -(-len(parts) // width)
     result = np.full((height * step, width * step), np.nan)
     for i, part in enumerate(parts):
-        first = (part.shape[0] - side) // 2
         row, column = (v * step for v in divmod(i, width))
-        result[row : row + side, column : column + side] = part[
-            first : first + side, first : first + side
-        ]
+        result[row : row + side, column : column + side] = _middle(part, side)
     return result
+
+
+def _middle(part: NDArray[Any], side: int) -> NDArray[Any]:
+    first = (part.shape[0] - side) // 2
+    return part[first : first + side, first : first + side]
 
 
 def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
