@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from sasmap.ripples.alignment import edge_errors
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.fit import Fit, Task, fit_wave
 from sasmap.ripples.folded import Proposal
@@ -271,9 +272,10 @@ def _rounds(
 
 
 def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -> np.ndarray:
-    """Widen draws of a bent clip's A_H.
+    """Widen draws by what the sampled likelihood does not know.
 
-    Its pulse is one that places of different local frequency share.
+    A bent clip's pulse is one that places of different local frequency share; of straight crests
+    along the lattice all rows sample shadow's edges alike.
 
     Parameters
     ----------
@@ -287,14 +289,19 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     ndarray (chain, draw, SIZE)
     """
     if fit.phase.rigid:
+        errors = edge_errors(fit, task.image, draws.reshape(-1, draws.shape[-1]).mean(axis=0))
+    else:
+        errors = (0.0, BENT_SHARE * fit.phase.variation)
+    if max(errors) == 0:
         return draws
-    height = BENT_SHARE * fit.phase.variation * float(draws[..., 1].mean())
-    # a prior holds what it knows better: doubt about the image adds nothing to that
-    left = np.sqrt(max(task.prior.sd[1] ** 2 - float(draws[..., 1].var()), 0))
-    spread = min(height, left) / max(float(draws[..., 1].mean()), 1e-12)
     result = draws.copy()
-    result[..., 1] *= np.exp(spread * rng.normal(size=draws.shape[:2]))
-    result[..., 1] = np.clip(result[..., 1], *task.prior.bounds[1])
+    for i, error in enumerate(errors):
+        middle = max(float(draws[..., i].mean()), 1e-12)
+        # a prior holds what it knows better: doubt about the image adds nothing to that
+        left = np.sqrt(max(task.prior.sd[i] ** 2 - float(draws[..., i].var()), 0))
+        spread = min(error, left / middle)
+        result[..., i] *= np.exp(spread * rng.normal(size=draws.shape[:2]))
+        result[..., i] = np.clip(result[..., i], *task.prior.bounds[i])
     return result
 
 
