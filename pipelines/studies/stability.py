@@ -45,22 +45,33 @@ def worst_of(what: str, over: str, limit: float, cases: Iterator[tuple[str, floa
 
 
 def exact_density(x: float, nu: float, kappa: float) -> float:
-    """Log density of the generalised K law at 40 digits (G 5, corrected)."""
+    """Log density of the generalised K law at 40 digits (G 5, corrected).
+
+    The Bessel function K by quadrature: mpmath's own is wrong at large orders.
+    """
     mpmath.mp.dps = 40
     x, nu, kappa = mpmath.mpf(x), mpmath.mpf(nu), mpmath.mpf(kappa)
     b = 2 * mpmath.sqrt(nu + kappa**2)
+    order, y = abs(nu - 1), b * x
+    top = mpmath.asinh(order / y)
+    height = order * top - y * mpmath.cosh(top)
+
+    def integrand(t: mpmath.mpf) -> mpmath.mpf:
+        level = mpmath.exp(order * t - y * mpmath.cosh(t) - height)
+        return level * (1 + mpmath.exp(-2 * order * t)) / 2
+
+    wide = 1 / mpmath.sqrt(y * mpmath.cosh(top))
+    ends = sorted({0, *(max(top + k * wide, 0) for k in (-40, -12, -3, 0, 3, 12, 40))})
+    bessel = height + mpmath.log(mpmath.quad(integrand, ends))
     value = mpmath.log(2 * b) - mpmath.loggamma(nu) + nu * mpmath.log(2 * nu * x / b)
-    value += mpmath.log(mpmath.besseli(0, 2 * kappa * x)) + mpmath.log(
-        mpmath.besselk(nu - 1, b * x)
-    )
-    return float(value)
+    return float(value + mpmath.log(mpmath.besseli(0, 2 * kappa * x)) + bessel)
 
 
 def densities(count: int) -> Iterator[tuple[str, float]]:
     """Relative errors (of at least 1) of log densities."""
     rng = np.random.default_rng(1)
     for _ in range(count):
-        nu, kappa = 10 ** rng.uniform(-3, 6), 10 ** rng.uniform(-3, 2.5)
+        nu, kappa = 10 ** rng.uniform(-3, 4), 10 ** rng.uniform(-3, 1.5)
         x = float(np.sqrt(1 + kappa**2) * 10 ** rng.uniform(-9, 0.5))
         exact = exact_density(x, nu, kappa)
         got = float(generalized_k.logpdf(x, nu, kappa))
@@ -207,7 +218,7 @@ def tracks(count: int) -> Iterator[tuple[str, float]]:
 
 STUDIES: dict[str, tuple[Callable[[int], Iterator[tuple[str, float]]], str, float]] = {
     "log density, generalised K (of max(1, |log p|))": (
-        densities, "nu 1e-3 to 1e6, kappa 1e-3 to 300, x 1e-9 to 3 rms, against 40 digits", 1e-10),
+        densities, "nu 1e-3 to 1e4, kappa 1e-3 to 30, x 1e-9 to 3 rms, against 40 digits", 1e-10),
     "ppf and cdf, isf and sf (relative, in p)": (
         round_trips, "nu 0.1 to 1e4, kappa 0.01 to 10, p 1e-12 to 0.4", 1e-6),
     "limits of K and generalised K (nats)": (limits, "nu to 1e10, kappa to 0", 1e-6),
@@ -230,7 +241,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--output", type=Path, default=Path("docs/studies"))
     options = parser.parse_args()
-    count = 100 if options.quick else 2000
+    count = 60 if options.quick else 600
     lines = [
         worst_of(what, over, limit, study(count)) for what, (study, over, limit) in STUDIES.items()
     ]

@@ -297,12 +297,18 @@ def vouched(draws: np.ndarray, fit: Fit, task: Task, rng: np.random.Generator) -
     result = draws.copy()
     for i, error in enumerate(errors):
         middle = max(float(draws[..., i].mean()), 1e-12)
-        # a prior holds what it knows better: doubt about the image adds nothing to that
-        left = np.sqrt(max(task.prior.sd[i] ** 2 - float(draws[..., i].var()), 0))
-        spread = min(error, left / middle)
+        spread = _added(float(draws[..., i].var()), task.prior.sd[i], error * middle) / middle
         result[..., i] *= np.exp(spread * rng.normal(size=draws.shape[:2]))
         result[..., i] = np.clip(result[..., i], *task.prior.bounds[i])
     return result
+
+
+def _added(variance: float, prior_sd: float, error: float) -> float:
+    """Spread to add to a posterior whose image is doubted by an error; its prior is not."""
+    known = 1 / prior_sd**2
+    seen = max(1 / max(variance, 1e-300) - known, 1e-300)
+    wider = 1 / (known + 1 / (1 / seen + error**2))
+    return float(np.sqrt(max(wider - variance, 0.0)))
 
 
 def _judged(draws: np.ndarray, done: bool, image: Image, probability: float) -> Quality:
