@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 Read = Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
 
 # Pixels, of all looks, from which classes are found, and cells they come from at most.
-SAMPLE, SAMPLED_CELLS = 5_000_000, 64
+SAMPLE, SAMPLED_CELLS = 6_000_000, 100
 # Pixels a side, about, of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.

@@ -103,17 +103,16 @@ def _slope(block: Blocks) -> FloatArray:
     design = np.column_stack([np.concatenate(step), np.concatenate(bend)])
     if y.size < 20:
         return np.zeros(2)
+    # from no trend at all: least squares would begin at what edges and objects make
     found: FloatArray = np.zeros(2)
-    weight: FloatArray = np.ones(y.size)
     for _ in range(30):
-        heavy = design * weight[:, None]
+        rest = y - design @ found
+        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
+        heavy = design / (1 + (rest / scale) ** 2)[:, None]
         # what nothing tells stays at 0
         found = np.asarray(
             np.linalg.solve(heavy.T @ design + np.diag([1e-4, 1e-3]), heavy.T @ y), np.float64
         )
-        rest = y - design @ found
-        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
-        weight = np.asarray(1 / (1 + (rest / scale) ** 2), np.float64)
     return np.asarray(found)
 
 
