@@ -1,6 +1,6 @@
 """From a raw line to tiles: a worked example of what sasmap needs to be given.
 
-    python pipelines/raw_line.py --output /tmp/line && sasmap run /tmp/line/survey.yaml
+    python pipelines/raw_line.py --output DIR && sasmap run DIR/survey.yaml
 
 A raw line is pings by samples of amplitude over slant range, with each ping's position, heading and
 altitude, as sonar libraries read them from XTF or JSF. Here one is made from the sample survey;

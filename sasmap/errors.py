@@ -20,6 +20,11 @@ class InputError(ValueError):
         super().__init__("\n".join(self.faults))
 
 
+def fault_of(error: BaseException) -> str:
+    """Tell an exception in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def check_file(path: Path, expected: str, most: int) -> None:
     """Check that an input is a regular file of no more than some bytes.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sasmap.config import Survey
-from sasmap.errors import InputError
+from sasmap.errors import InputError, fault_of
 from sasmap.estimates import check_fits
 from sasmap.manifest import Clock, Outcome, write_manifest
 from sasmap.plan import Look, Plan, make_plan, tags_of
@@ -197,7 +197,7 @@ def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -
     try:
         outcome.written += work()
     except Exception as error:
-        fault = " ".join(f"{type(error).__name__}: {error}".split())
+        fault = fault_of(error)
         log.warning("%s: %s", stage, fault)
         outcome.failures.append({"stage": stage, "fault": fault})
 

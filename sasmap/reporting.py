@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sasmap.errors import fault_of
 from sasmap.manifest import Outcome, left_out_counts, versions
 from sasmap.plan import Plan
 from sasmap.products.colours import QUALITY_COLOURS, RAMPS, hexadecimal
@@ -244,7 +245,7 @@ def _cells(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[str, str
 
 def _untold(title: str, error: Exception) -> dict[str, str]:
     empty = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
-    told = " ".join(f"{type(error).__name__}: {error}".split())
+    told = fault_of(error)
     return {"title": title, "words": told, "source": empty, "caption": "No picture."}
 
 

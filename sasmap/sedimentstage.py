@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.errors import fault_of
 from sasmap.manifest import Outcome
 from sasmap.plan import Plan, tags_of
 from sasmap.productnames import SEDIMENT_PRODUCTS
@@ -152,7 +153,7 @@ class _Reader:
             return read_floor(self._context, Cell(row, column), k, keys[k] if keys else None)
         except Exception as error:  # one cell's fault must not end the survey
             with self._lock:
-                self.faults[row, column, k] = " ".join(f"{type(error).__name__}: {error}".split())
+                self.faults[row, column, k] = fault_of(error)
             return None
 
     def record(self, outcome: Outcome) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sasmap.errors import fault_of
 from sasmap.plan import Look, Plan
 from sasmap.products.model import on_cell
 from sasmap.ripples.chain import next_prior
@@ -62,15 +63,17 @@ def run_cell(context: Context, cell: Cell) -> list[LookResult]:
     assert settings is not None
     results: list[LookResult] = []
     for k in context.plan.cells[cell]:
-        # the default method chains what looks know; the published one feeds each to the next
-        published = settings.method == "zare-cobb"
-        earlier = [r.summary for r in results if r.summary is not None] if published else []
+        earlier = _earlier([r.summary for r in results], settings)
         try:
             results.append(_look(context, cell, k, earlier))
         except Exception as error:  # one cell's fault must not end the survey
-            fault = " ".join(f"{type(error).__name__}: {error}".split())
-            results.append(LookResult(None, fault, True))
+            results.append(LookResult(None, fault_of(error), True))
     return results
+
+
+def _earlier(summaries: Sequence[Summary | None], settings: RippleSettings) -> list[Summary]:
+    """Return the looks that the next starts from: by default none, what they know is chained."""
+    return [s for s in summaries if s is not None] if settings.method == "zare-cobb" else []
 
 
 def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
@@ -83,17 +86,18 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
     if kept is not None:
         return LookResult(kept, None, False, key)
     clip = clip_of(plan, cell, look, look.side)
+    pixels = None if clip is None else Clip.from_array(clip)
     arrays: dict[str, NDArray[Any]] = {}
-    if clip is None:
+    if clip is None or pixels is None:
         summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
     elif _shown(plan, cell, look, clip) < MIN_VALID:
         summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
     else:
-        posterior = _estimated(plan, cell, look, clip, settings, prior)
+        posterior = _estimated(plan, cell, look, pixels, settings, prior)
         summary = summarise(posterior)
-        arrays = _modelled(plan, cell, Clip.from_array(clip), posterior)
-    if plan.settings.sediments is not None and clip is not None:
-        amplitude, cotangent = _floor(plan, cell, clip, arrays.pop("relief", None))
+        arrays = _modelled(plan, cell, pixels, posterior)
+    if plan.settings.sediments is not None and pixels is not None:
+        amplitude, cotangent = _floor(plan, cell, pixels, arrays.pop("relief", None))
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
     if arrays:
         store.save_arrays(key, arrays)
@@ -102,10 +106,10 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
 
 
 def _estimated(
-    plan: Plan, cell: Cell, look: Look, clip: xr.DataArray, settings: RippleSettings, prior: Prior
+    plan: Plan, cell: Cell, look: Look, pixels: Clip, settings: RippleSettings, prior: Prior
 ) -> Posterior:
     rng = np.random.default_rng(_seed(plan.settings.seed, look, cell))
-    return estimate(Clip.from_array(clip), settings, rng=rng, prior=prior)
+    return estimate(pixels, settings, rng=rng, prior=prior)
 
 
 def estimate_again(
@@ -135,10 +139,8 @@ def estimate_again(
     if clip is None or summary is None or summary.quality is Quality.TOO_FEW_PIXELS:
         return clip, None
     settings = ripple_settings(plan).model_copy(update={"keep_model": True})
-    published = settings.method == "zare-cobb"
-    earlier = [s for s in summaries[:k] if s is not None] if published else []
-    prior = next_prior(earlier, settings)
-    return clip, _estimated(plan, cell, look, clip, settings, prior)
+    prior = next_prior(_earlier(summaries[:k], settings), settings)
+    return clip, _estimated(plan, cell, look, Clip.from_array(clip), settings, prior)
 
 
 def finished_looks(plan: Plan, store: Store) -> int:
@@ -171,10 +173,9 @@ def _modelled(
 
 
 def _floor(
-    plan: Plan, cell: Cell, clip: xr.DataArray, relief: NDArray[np.float32] | None
+    plan: Plan, cell: Cell, pixels: Clip, relief: NDArray[np.float32] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
     """Amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels."""
-    pixels = Clip.from_array(clip)
     place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
     amplitude = levelled(on_cell(pixels, known, *place), relief)
@@ -285,5 +286,5 @@ def read_floor(
     clip = clip_of(plan, cell, look, look.side)
     if clip is None:
         return None
-    amplitude, cotangent = _floor(plan, cell, clip, None)
+    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip), None)
     return amplitude.astype(float), cotangent.astype(float)

@@ -1,6 +1,6 @@
 """Seconds and memory of whole runs, over pixels, workers, passes and kinds of crests.
 
-    python pipelines/scale/scale.py --folder /tmp/scale [--megapixels 25 100] [--rows ...]
+    python pipelines/scale/scale.py --folder DIR [--megapixels 25 100] [--rows ...]
 
 Simulates `scene.yaml` (whole: 100 Mpx, 400 cells) or its lower left part, once or as four passes,
 with straight or bent crests; runs each in a process of its own and tells wall-clock seconds by
