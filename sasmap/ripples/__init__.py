@@ -1,8 +1,8 @@
 """Ripple frequency and height of one clip: numbers only, no files and no maps."""
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.estimate import estimate
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.estimation import estimate
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.posterior import Posterior, Quality
 from sasmap.ripples.settings import RippleSettings
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.gaussians import Mixture
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.mixture import disagreement, marginal, product, widened
 from sasmap.ripples.passes import NAN, Summary
 from sasmap.ripples.posterior import Quality
@@ -262,7 +262,8 @@ def next_prior(earlier: Sequence[Summary | None], settings: RippleSettings) -> P
     index = _last_published(earlier) if settings.method == "zare-cobb" else None
     last = None if index is None else earlier[index]
     if last is None:
-        return Prior.flat(settings.frequency, settings.height)
+        flat = settings.method == "zare-cobb"
+        return (Prior.flat if flat else Prior.natural)(settings.frequency, settings.height)
     return Prior(last.mean, PUBLISHED_SD, (settings.frequency, settings.height))
 
 

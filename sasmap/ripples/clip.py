@@ -19,6 +19,10 @@ DYNAMIC_RANGE = 3e-3
 GLARING, OUTLIER = 300.0, 30.0
 
 
+# How well an altimeter or a bottom track knows the altitude, m.
+ALTITUDE_SD = 0.02
+
+
 @dataclass(frozen=True)
 class Clip:
     """What one look shows of a patch of sea floor; all arrays (rows, columns).
@@ -35,6 +39,8 @@ class Clip:
         Degrees clockwise from grid north.
     pixel_size : float
         m.
+    altitude_sd : float
+        How well the altitude is known, m.
     """
 
     amplitude: FloatArray
@@ -44,6 +50,7 @@ class Clip:
     altitude: FloatArray
     look_azimuth: FloatArray
     pixel_size: float
+    altitude_sd: float = ALTITUDE_SD
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -86,7 +93,8 @@ class Clip:
             _filled(array.coords["x"], array), _filled(array.coords["y"], array)
         )
         amplitude = np.asarray(array.values, float)
-        return cls(amplitude, **wide, pixel_size=float(size))
+        known = float(array.attrs.get("altitude_sd", ALTITUDE_SD))
+        return cls(amplitude, **wide, pixel_size=float(size), altitude_sd=known)
 
 
 def _filled(coordinate: xr.DataArray, array: xr.DataArray) -> FloatArray:

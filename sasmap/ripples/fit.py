@@ -1,9 +1,4 @@
-"""A wave found in a clip to the fold that its posterior is sampled from.
-
-Straight crests or a phase field, which profile, whether there is a trend, and how much less the
-clip's speckle says than independent speckle: each is settled here, by what the clip shows, before
-any sampling.
-"""
+"""From a wave that was found in a clip to the histogram and the peak that its posterior starts from."""
 
 from __future__ import annotations
 
@@ -14,11 +9,9 @@ from numpy.typing import NDArray
 from scipy.fft import rfft2
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
-from sasmap.ripples.fold import PROFILES, Reference, detrended, fold, fold_plan
-from sasmap.ripples.folded import FoldData, PriorData
+from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
-from sasmap.ripples.kernel import SIZE, log_likelihood, pulses
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.optimise import Peak, climb, scan
 from sasmap.ripples.phase import (
     STRAIGHT,
     Boxes,
@@ -26,83 +19,70 @@ from sasmap.ripples.phase import (
     bend,
     bent,
     demodulate,
-    local_mean,
     refined_wave,
     rewaved,
     straight,
+    turned_back,
 )
-from sasmap.ripples.pixels import unfold_pixels
-from sasmap.ripples.presence import EULER
-from sasmap.ripples.scattering import ProfileName
-from sasmap.ripples.settings import RippleSettings
-from sasmap.ripples.shadow import ShadowRule, shadow_table
-from sasmap.ripples.starts import polished, rivals, scan
+from sasmap.ripples.pixels import paint_pixels, spread_boxes
+from sasmap.ripples.rendering import (
+    CREST,
+    LINE_OF_SIGHT,
+    Geometry,
+    Histogram,
+    fill_expected,
+    fill_pulses,
+    parameters_at,
+)
+from sasmap.ripples.priors import Prior
+from sasmap.ripples.settings import RippleSettings, scattering_law
 
 FloatArray = NDArray[np.float64]
 
-# What a field must explain beyond straight crests, of what these explain and in log likelihood.
-FIELD_GAIN, FIELD_MARGIN = 0.004, 10.0
-# What another profile must explain beyond a sine: in the same terms, and of what a sine leaves
-# unexplained.
-PROFILE_GAIN, PROFILE_MARGIN, PROFILE_SHARE = 0.002, 10.0, 0.3
-# A sine that leaves no more than this unexplained, in standard deviations of its deviance, will do.
-EXPLAINED = 1.0
-# Variation of the ratio of image and model, over several wavelengths, that makes a trend (rms).
-TREND_RMS = 0.05
-# Share of a clip's pixels, in light and clear of shadow's edges, from which they tell its trend and
-# its speckle.
-MIN_LIT = 0.05
-# Pixels of a bin from which its mean says something about the model.
-FEW = 8.0
-NOISE_BOUNDS = (0.5, 50.0)
-# Model intensity over its mean below which speckle is not judged.
+# Expected standard deviation of a sonar's point spread, pixels.
+POINT_SPREAD = 0.5
+# Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
+NOISE_BOUNDS = (0.5, 50.0)
+EULER = 0.5772156649015329
 
 
 class Fit(NamedTuple):
-    """A fold and the point of its posterior to start from.
+    """A clip by phase and range, and the likeliest parameters.
 
     Attributes
     ----------
     phase : PhaseField
     trend : ndarray (box rows, box columns)
-    data : FoldData
-    theta : ndarray (SIZE,)
-        Near the peak.
-    level : float
-        Its log posterior.
-    profile : str
-    trended : bool
-        Whether the clip has a trend that the scattering of its sea floor does not explain.
-    noise_factor : float
-        How many times the variance of independent speckle the clip's has.
-    reference : Reference or None
-        What straight crests were folded at.
+    data : Histogram
+    geometry : Geometry
+    peaks : list of Peak
+        The likeliest first.
     """
 
     phase: PhaseField
     trend: FloatArray
-    data: FoldData
-    theta: FloatArray
-    level: float
-    profile: ProfileName
-    trended: bool
-    noise_factor: float
-    reference: Reference | None = None
+    data: Histogram
+    geometry: Geometry
+    peaks: list[Peak]
+
+    @property
+    def z(self) -> FloatArray:
+        """Sampling coordinates of the likeliest peak."""
+        return self.peaks[0].z
 
 
 class Task(NamedTuple):
     """What does not change while a clip is fitted."""
 
     image: Image
-    shadow: ShadowRule | None
     settings: RippleSettings
     prior: Prior
-    compiled: PriorData
+    altitude_sd: float
 
 
 def fit_wave(task: Task, wave: FloatArray) -> Fit:
-    """Fit a wave: phase, profile, trend and noise.
+    """Fit a wave: straight crests first, a phase field where they do not suffice.
 
     Parameters
     ----------
@@ -114,177 +94,104 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     -------
     Fit
     """
+    image = task.image
     # of the two vectors of a wave, the one that the sonar looks along
-    boxes = demodulate(task.image, wave if wave @ task.image.look >= 0 else -wave)
-    boxes = rewaved(task.image, boxes, refined_wave(task.image, boxes, boxes.count > 0))
-    return _with_residuals(task, *_with_profile(task, _best_phase(task, boxes)))
+    boxes = demodulate(image, wave if wave @ image.look >= 0 else -wave)
+    boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
+    fit = fitted(task, straight(image, boxes), boxes.trend)
+    # shadow and lean turn the fundamental with range; that is no bend of the crests
+    upright = turned_back(image, boxes, lag_over_range(fit))
+    upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
+    found = bend(upright)
+    if (found.scores >= STRAIGHT).any():
+        fit = fitted(task, bent(image, boxes, bend(boxes)), boxes.trend)
+    return with_noise_factor(task, fit)
 
 
-def _searched(task: Task, phase: PhaseField, trend: FloatArray, profile: ProfileName) -> Fit:
-    """Fold on an even grid of phase, search all of A_H, phase and noise, and climb."""
-    data = fold(task.image, phase, trend, task.shadow, profile)
-    table = scan(data, task.prior)
-    start = table[np.argmax(table[:, SIZE]), :SIZE]
-    peaks = [polished(start, data, task.compiled)]
-    if task.shadow is not None:
-        peaks += [polished(row, data, task.compiled) for row in rivals(table, peaks[0][0])]
-    theta, level = max(peaks, key=lambda peak: peak[1])
-    return Fit(phase, trend, data, theta, level, profile, False, 1.0)
+def fitted(task: Task, phase: PhaseField, trend: FloatArray) -> Fit:
+    """Sum a clip over phase and range and climb to the peaks of its posterior."""
+    data = histogram(task.image, trend, phase)
+    geometry = clip_geometry(task, phase, data)
+    peaks = [climb(z, data, geometry) for z in scan(data, geometry)]
+    return Fit(phase, trend, data, geometry, sorted(peaks, key=lambda p: -p.level))
 
 
-def refolded(task: Task, fit: Fit) -> Fit:
-    """Fold straight crests where the fit is, following their shadow, and climb on; bent ones stay.
-
-    Parameters
-    ----------
-    task : Task
-    fit : Fit
-        Its level says nothing beside the result's: other pixels count.
-
-    Returns
-    -------
-    Fit
-    """
-    if not fit.phase.rigid:
-        return fit
-    for near in (False, True) if task.shadow is None else (False, True, True):
-        reference = Reference(fit.theta, fit.data)
-        data = fold(task.image, fit.phase, fit.trend, task.shadow, fit.profile, reference)
-        theta = fit.theta.copy()
-        if not fit.data.fine:
-            theta[5] = 0.0
-        theta, level = polished(theta, data, task.compiled, near=near)
-        fit = fit._replace(data=data, theta=theta, level=level, reference=reference)
-    return fit
-
-
-def _with_other_profile(task: Task, fit: Fit, profile: ProfileName) -> Fit:
-    rule = task.shadow or "line-of-sight"
-    data = fit.data._replace(profile=PROFILES[profile], table=shadow_table(rule, profile))
-    theta, level = polished(fit.theta, data, task.compiled)
-    return fit._replace(data=data, theta=theta, level=level, profile=profile)
-
-
-def _best_phase(task: Task, boxes: Boxes) -> Fit:
-    flat = np.ones_like(boxes.trend)
-    rigid = _searched(task, straight(task.image, boxes.wave, boxes), flat, "sine")
-    found = bend(boxes)
-    if (found.scores < STRAIGHT).all():
-        return rigid
-    free = _searched(task, bent(task.image, boxes, found), flat, "sine")
-    known = explained(rigid)
-    gain = explained(free) - known
-    return free if gain > FIELD_MARGIN + FIELD_GAIN * known else rigid
-
-
-def explained(fit: Fit) -> float:
-    """Log likelihood of a fit over that of a flat sea floor.
-
-    Parameters
-    ----------
-    fit : Fit
-
-    Returns
-    -------
-    float
-        At least 0.
-    """
-    flat = fit.theta.copy()
-    flat[1] = 0.0
-    aside = fit.data._replace(wave_precision=np.zeros(2))
-    return float(max(log_likelihood(fit.theta, aside) - log_likelihood(flat, aside), 0.0))
-
-
-def _with_profile(task: Task, fit: Fit) -> tuple[Fit, Fit]:
-    """Return the fit with the profile that the survey fixes, or else the data choose.
-
-    And the same fit refolded, where crests are straight.
-    """
-    wanted = task.settings.profile
-    close = refolded(task, fit)
-    misfit, freedom = dispersion(close)
-    if wanted == fit.profile or (wanted == "auto" and (misfit - 1) * np.sqrt(freedom) < EXPLAINED):
-        return fit, close
-    misfit, freedom = dispersion(fit)
-    names: tuple[ProfileName, ...] = ("stokes", "peaked") if wanted == "auto" else (wanted,)
-    fits = [_with_other_profile(task, fit, name) for name in names]
-    best = max(fits, key=lambda f: f.level)
-    missed = PROFILE_SHARE * 0.5 * max(misfit - 1, 0) * freedom
-    least = PROFILE_MARGIN + PROFILE_GAIN * explained(fit) + missed
-    if wanted == "auto" and best.level < fit.level + least:
-        return fit, close
-    return best, refolded(task, best)
-
-
-def _with_residuals(task: Task, search: Fit, fit: Fit) -> Fit:
-    """Take a trend off the clip where one shows, and measure its noise factor.
-
-    Parameters
-    ----------
-    task : Task
-    search, fit : Fit
-        On an even grid of phase, and the same refolded where crests are straight.
-
-    Returns
-    -------
-    Fit
-    """
-    trended = False
-    for last in (False, False, True):
-        ratio = residual(task.image, fit)
-        if np.count_nonzero(ratio) < MIN_LIT * task.image.valid.sum():
-            return fit
-        trend, rms, noise = local_mean(task.image, fit.phase, ratio)
-        if last or rms < TREND_RMS + 2 * noise:
-            break
-        trended = True
-        search = _searched(task, fit.phase, fit.trend * trend, fit.profile)
-        fit = refolded(task, search)
-    factor = 1.0
-    if task.settings.speckle == "measured":
-        factor = max(noise_factor(task.image, fit.phase.wave, ratio), dispersion(fit)[0], 1.0)
-    data, theta, level = fit.data._replace(power=1 / factor), fit.theta, fit.level
-    if factor > 1:  # what a field's phases say counts for more now
-        theta, level = polished(theta, data, task.compiled, near=True)
-    return Fit(
-        fit.phase, fit.trend, data, theta, level, fit.profile, trended, factor, fit.reference
+def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
+    """Gather what the likelihood needs besides the histogram."""
+    image, settings, prior = task.image, task.settings, task.prior
+    along, across = (float(v) for v in phase.mean_wave)
+    lattice = POINT_SPREAD * image.pixel_size * along
+    pixels = data.pixel_count.sum(axis=1)
+    middle = [float(np.average(v, weights=pixels)) for v in (data.ground_range, data.altitude)]
+    law = scattering_law(settings.scattering)
+    published = settings.scattering == "zare-cobb"
+    fixed = np.array([np.nan, np.nan, 0.0, 0.0] if published else [np.nan] * 4)
+    if law is not None:
+        fixed[:2] = law
+    rule = CREST if settings.shadow == "crest" else LINE_OF_SIGHT
+    (f_mean, h_mean), (f_sd, h_sd) = prior.mean, prior.sd
+    return Geometry(
+        along=along,
+        across=across,
+        range_middle=middle[0],
+        altitude_middle=middle[1],
+        altitude_sd=task.altitude_sd,
+        expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
+        follows_image=not phase.rigid,
+        published=published,
+        shadow=rule,
+        noise_factor=1.0,
+        fixed=fixed,
+        height_mean=h_mean,
+        height_sd=h_sd,
+        height_least=prior.bounds[1][0],
+        height_most=prior.bounds[1][1],
+        frequency_mean=f_mean,
+        frequency_sd=f_sd,
+        steepness_middle=prior.steepness[0],
+        steepness_sd=prior.steepness[1],
     )
 
 
-def dispersion(fit: Fit) -> tuple[float, float]:
-    """Chi-square of a fit over its degrees of freedom: what no ripple of the model explains.
-
-    Parameters
-    ----------
-    fit : Fit
-
-    Returns
-    -------
-    ratio : float
-        Near 1 where the model is true and speckle independent.
-    freedom : float
-    """
-    data = fit.data
-    model, clear, _ = pulses(fit.theta, data)
-    enough = clear & (data.known > FEW)
-    mean = data.total[enough] / data.known[enough]
-    square = data.known[enough] * np.log(model[enough] / mean) + data.known[enough] * (
-        mean / model[enough] - 1
-    )
-    freedom = max(float(enough.sum() - data.group.max() - 1 - SIZE), 1.0)
-    return float(2 * square.sum() / freedom), freedom
+def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pulses (blocks, bins) over ripple phase and lags (blocks,) at sampling coordinates."""
+    pulses = np.empty(fit.data.pixel_count.shape)
+    lags = np.empty(len(pulses))
+    fill_pulses(parameters_at(z, fit.geometry), fit.data, fit.geometry, pulses, lags)
+    return pulses, lags
 
 
-def residual(image: Image, fit: Fit) -> FloatArray:
-    """Intensity over the model's (rows, columns); 0 where not valid, not rippled or in shadow."""
+def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Ground ranges (m) and how far the image's fundamental is turned there, rad."""
+    return fit.data.ground_range, np.unwrap(pulses_at(fit, fit.z)[1])
+
+
+def expected_at(fit: Fit, z: FloatArray) -> FloatArray:
+    """Expected intensity over the local mean (blocks, bins) of the histogram."""
+    means = np.empty(fit.data.pixel_count.shape)
+    fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means)
+    return means
+
+
+def with_noise_factor(task: Task, fit: Fit) -> Fit:
+    """Temper the likelihood by what the clip's speckle is worth, and climb on."""
+    image = task.image
     used = image.valid & fit.phase.pixels(fit.phase.covered, image.shape)
-    plan, _, _ = fold_plan(image, fit.phase, fit.reference)
-    pulse, clear, _ = pulses(fit.theta, fit.data)
-    model = unfold_pixels(used, fit.phase.cycles(image.shape), plan, np.where(clear, pulse, 0.0))
-    lit = model > DARK * max(float(model[used].mean()), 1e-300)
-    power = detrended(image, fit.phase, fit.trend) + DYNAMIC_RANGE
-    ratio = power / np.where(lit, model, 1.0)
-    return np.asarray(np.where(lit, ratio, 0.0))
+    model = paint_pixels(
+        used,
+        image.ground_range,
+        fit.phase.cycles(image.shape),
+        fit.phase.per_pixel(image),
+        fit.data.ground_range,
+        expected_at(fit, fit.z),
+    )
+    trend = spread_boxes(fit.trend, fit.phase.box, image.shape)
+    lit = used & (model > DARK)
+    ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model * trend, 1.0), 0.0)
+    factor = noise_factor(image, fit.phase.wave, ratio)
+    geometry = fit.geometry._replace(noise_factor=factor)
+    peaks = [climb(p.z, fit.data, geometry) for p in fit.peaks]
+    return fit._replace(geometry=geometry, peaks=sorted(peaks, key=lambda p: -p.level))
 
 
 def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.fit import Fit
-from sasmap.ripples.fold import fold_plan
+from sasmap.ripples.fit import Fit, expected_at
 from sasmap.ripples.image import BoolArray, Image
-from sasmap.ripples.kernel import pulses
-from sasmap.ripples.pixels import spread_boxes, unfold_pixels
+from sasmap.ripples.pixels import paint_pixels, spread_boxes
+from sasmap.ripples.rendering import parameters_at
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +43,7 @@ class Modelled(NamedTuple):
     relief: FloatArray
 
 
-def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
+def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> Modelled:
     """Posterior mean of a clip's amplitude.
 
     Parameters
@@ -53,7 +52,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
     image : Image
         The clip's.
     fit : Fit
-    draws : ndarray (chain, draw, SIZE)
+    points : ndarray (chain, draw, COORDINATES)
 
     Returns
     -------
@@ -64,37 +63,37 @@ def modelled(clip: Clip, image: Image, fit: Fit, draws: FloatArray) -> Modelled:
     result, relief = (np.full(clip.amplitude.shape, np.nan) for _ in range(2))
     if image.shape != clip.amplitude.shape:
         return Modelled(result, relief)
-    every = draws.reshape(-1, draws.shape[-1])
+    every = points.reshape(-1, points.shape[-1])
     chosen = every[:: max(len(every) // DRAWS, 1)]
-    mean, over, lit = np.mean([_levels(theta, fit) for theta in chosen], axis=0)
+    mean, lit = np.mean([_levels(z, fit) for z in chosen], axis=0)
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
     known = geometry & phase.pixels(phase.spread_cover(), image.shape)
-    plan, _, _ = fold_plan(image, whole, fit.reference)
-    cycles = whole.cycles(image.shape)
-    amplitude = unfold_pixels(known, cycles, plan, mean)
-    above = unfold_pixels(known, cycles, plan, over)
+    cycles, per_pixel = whole.cycles(image.shape), whole.per_pixel(image)
+
+    def paint(pulses: FloatArray) -> FloatArray:
+        reach = fit.data.ground_range
+        return paint_pixels(known, clip.ground_range, cycles, per_pixel, reach, pulses)
+
+    amplitude = paint(mean)
     trend = np.sqrt(spread_boxes(fit.trend, phase.box, image.shape))
-    known &= _borne_out(image, trend, above, known, image.per_pixel(phase.wave))
-    dark = unfold_pixels(known, cycles, plan, lit) < SHADOW
-    if fit.reference is None:  # the phase is a field, known to an error
-        dark = _as_far_as_it_may_be(dark, np.exp(chosen[:, 5].mean()), image.per_pixel(phase.wave))
-    relief[known] = np.where(dark, 0.0, above)[known]
+    known &= _borne_out(image, trend, amplitude, known, image.per_pixel(phase.wave))
+    dark = paint(lit) < SHADOW
+    if not phase.rigid:  # the phase is a field, known to an error
+        dark = _as_far_as_it_may_be(dark, phase.error, image.per_pixel(phase.wave))
+    relief[known] = np.where(dark, 0.0, amplitude)[known]
     result[known] = RAYLEIGH * image.rms * amplitude[known] * trend[known]
     return Modelled(result, relief)
 
 
-def _levels(theta: FloatArray, fit: Fit) -> FloatArray:
-    """Amplitude of blocks and bins, that over flat sea floor's, and that without noise.
-
-    (3, blocks, bins)
-    """
-    pulse, _, gain = pulses(theta, fit.data)
-    noise = np.exp(theta[4])
-    over = pulse / np.maximum(gain[:, None] * (fit.data.flat + noise), 1e-300)
-    lit = np.maximum(pulse / gain[:, None] - noise, 0.0) / np.maximum(fit.data.flat, 1e-300)
-    return np.asarray(np.sqrt(np.stack([pulse, over, lit])))
+def _levels(z: FloatArray, fit: Fit) -> FloatArray:
+    """Amplitude over the local mean's, and that without noise (2, blocks, bins)."""
+    means = expected_at(fit, z)
+    ripple, geometry = parameters_at(z, fit.geometry), fit.geometry
+    ratio = fit.data.ground_range / geometry.range_middle
+    floor = ripple.noise * ratio**ripple.noise_slope / fit.data.trend
+    return np.asarray(np.sqrt([means, np.maximum(means - floor[:, None], 0.0)]))
 
 
 def _as_far_as_it_may_be(dark: BoolArray, error: float, cycles: FloatArray) -> BoolArray:

@@ -38,8 +38,6 @@ class Summary:
     coherence_length : float
         m.
     rippled_fraction, noise_factor : float
-    profile : str
-        Empty without ripples.
     """
 
     quality: Quality
@@ -59,7 +57,6 @@ class Summary:
     coherence_length: float = NAN
     rippled_fraction: float = NAN
     noise_factor: float = NAN
-    profile: str = ""
 
     @property
     def density(self) -> Mixture | None:
@@ -128,7 +125,6 @@ def _shape(posterior: Posterior) -> dict[str, Any]:
         "coherence_length": shape.coherence_length,
         "rippled_fraction": shape.rippled_fraction,
         "noise_factor": shape.noise_factor,
-        "profile": shape.profile,
     }
 
 

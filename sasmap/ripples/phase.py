@@ -38,8 +38,6 @@ BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
 FULL = 0.8
 MAX_ROUNDS = 8
-# What a first search for straight crests takes their pulse to be smeared by, rad, give or take.
-BLUR, BLUR_SD = 0.12, 1.0
 # Share of the phase's wander that its mean slope may be wrong by, and turns over the clip that a
 # fork leaves open (root of their number).
 WANDER_SHARE, FORK_TURN = 0.3, 0.06
@@ -92,11 +90,13 @@ class PhaseField:
         Unit phasors of the field from even boxes, odd ones, and all.
     covered : ndarray of bool (box rows, box columns)
         Boxes with ripples.
+    origin : float
+        Phase of a straight wave's image at the clip's centre, cycles.
     mean_wave, wave_sd : ndarray (2,)
-        Mean wave vector of the field along and across the look, cycles/m, and its standard
-        deviation; where crests are straight, the first is left to the fold.
-    blur, blur_sd : float
-        Error of the field, rad, and how well its log is known.
+        Mean wave vector of the image's phase along and across the look, cycles/m, and its standard
+        deviation under independent speckle.
+    error : float
+        Of the field at a pixel, rad; 0 where rigid.
     coherence_length : float
         Distance over which the phase, less its mean slope, keeps a correlation of 1/e, m; the
         clip's largest where it keeps it throughout.
@@ -104,8 +104,6 @@ class PhaseField:
         Of the clip's valid area.
     stiffness : float
         Standard deviation of the Gaussian that smooths the field, m; infinite where rigid.
-    variation : float
-        Of the local frequency along the look, over the mean (rms).
     """
 
     wave: FloatArray
@@ -116,14 +114,17 @@ class PhaseField:
     odd: ComplexArray
     both: ComplexArray
     covered: BoolArray
+    origin: float
     mean_wave: FloatArray
     wave_sd: FloatArray
-    blur: float
-    blur_sd: float
+    error: float
     coherence_length: float
     rippled_fraction: float
     stiffness: float
-    variation: float
+
+    def per_pixel(self, image: Image) -> FloatArray:
+        """Cycles of the plane wave a column, a row and at the clip's centre (3,)."""
+        return np.append(image.per_pixel(self.wave), self.origin)
 
     def spread_cover(self) -> BoolArray:
         """Rippled boxes and the holes among them."""
@@ -201,6 +202,26 @@ def rewaved(image: Image, boxes: Boxes, wave: FloatArray) -> Boxes:
     beside = change @ np.array([look[1], -look[0]])
     turn = np.exp(-2j * np.pi * (change @ look * along + beside * across))
     return replace(boxes, wave=wave, turned=boxes.turned * turn)
+
+
+def turned_back(image: Image, boxes: Boxes, lag: tuple[FloatArray, FloatArray]) -> Boxes:
+    """Take a phase that follows range off demodulated boxes.
+
+    Parameters
+    ----------
+    image : Image
+    boxes : Boxes
+    lag : tuple of ndarray (n,)
+        Ground ranges, m, increasing, and the ripple's phase at which the fundamental peaks there,
+        rad.
+
+    Returns
+    -------
+    Boxes
+    """
+    along, _ = _places(image, boxes)
+    phase = np.interp(image.mean_range + along, *lag)
+    return replace(boxes, turned=boxes.turned * np.exp(1j * phase))
 
 
 class _Smoother:
@@ -323,15 +344,14 @@ def covered_boxes(image: Image, boxes: Boxes) -> tuple[BoolArray, float]:
     return everywhere
 
 
-def straight(image: Image, wave: FloatArray, boxes: Boxes) -> PhaseField:
+def straight(image: Image, boxes: Boxes) -> PhaseField:
     """Return the phase of straight crests: a plane wave and no field.
 
     Parameters
     ----------
     image : Image
-    wave : ndarray (2,)
-        Its wave vector (east, north), cycles/m.
     boxes : Boxes
+        Demodulated at the wave.
 
     Returns
     -------
@@ -339,13 +359,16 @@ def straight(image: Image, wave: FloatArray, boxes: Boxes) -> PhaseField:
     """
     covered, fraction = covered_boxes(image, boxes)
     one = np.ones(boxes.count.shape, complex)
-    look = image.look
-    mean = np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
     along, across = _places(image, boxes)
-    extent = float(np.hypot(np.ptp(along), np.ptp(across)))
-    rough = 0.05 / max(float(np.ptp(across)), image.pixel_size)
+    weight = np.where(covered, boxes.count, 0.0)
+    total, pixels = np.where(covered, boxes.turned, 0).sum(), weight.sum()
+    # slope of the phase of a sine of this amplitude in noise of this variance, by least squares
+    noise = np.sqrt(0.5 * boxes.variance * pixels) / max(abs(total), 1e-9)
+    spreads = [np.sqrt(np.average((v - np.average(v, weights=weight)) ** 2, weights=weight))
+               for v in (along, across)]
+    sd = np.array([noise / max(2 * np.pi * v, 1e-9) for v in spreads])
     return PhaseField(
-        wave,
+        boxes.wave,
         True,
         boxes.size,
         1,
@@ -353,15 +376,20 @@ def straight(image: Image, wave: FloatArray, boxes: Boxes) -> PhaseField:
         one,
         one,
         covered,
-        mean,
-        np.array([np.inf, rough]),
-        BLUR,
-        BLUR_SD,
-        extent,
+        float(np.angle(total)) / (2 * np.pi),
+        _along_and_across(image, boxes.wave),
+        sd,
+        0.0,
+        float(np.hypot(np.ptp(along), np.ptp(across))),
         fraction,
         float("inf"),
-        0.0,
     )
+
+
+def _along_and_across(image: Image, wave: FloatArray) -> FloatArray:
+    """Components of a wave vector (east, north) along and across the look."""
+    look = image.look
+    return np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
 
 
 class Bend(NamedTuple):
@@ -442,7 +470,6 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
     smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.08, 1.2))
     mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear)
-    variation = _variation(image, boxes, _unit(both), weight, mean)
     field = _unit(both)
     return PhaseField(
         boxes.wave,
@@ -453,14 +480,13 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
         _unit(odd),
         field,
         covered,
+        0.0,
         mean,
         sd,
         smear,
-        0.5,
         _coherence_length(image, boxes, field, weight, mean),
         fraction,
         float(STIFFNESS[best] * boxes.wavelength * boxes.size * image.pixel_size),
-        variation,
     )
 
 
@@ -490,9 +516,7 @@ def _mean_wave(
         wander = np.cumsum((rest * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1e-9))
         spreads.append(float(wander.std() + smear) / max(high - low, 1))
     per_pixel = image.per_pixel(boxes.wave) + np.array(slopes)
-    wave = image.per_metre(per_pixel)
-    look = image.look
-    mean = np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
+    mean = _along_and_across(image, image.per_metre(per_pixel))
     length = boxes.size * image.pixel_size
     sd = WANDER_SHARE * float(np.hypot(*spreads)) / (2 * np.pi * length)
     forks = FORK_TURN * np.sqrt(_forks(field, weight)) / (max(weight.shape) * length)
@@ -508,23 +532,6 @@ def _forks(field: ComplexArray, weight: FloatArray) -> int:
     wound = np.abs(np.sum(turns, axis=0)) > np.pi
     inside = (weight[:-1, :-1] > 0) & (weight[1:, 1:] > 0)
     return int((wound & inside).sum())
-
-
-def _variation(
-    image: Image, boxes: Boxes, field: ComplexArray, weight: FloatArray, mean: FloatArray
-) -> float:
-    """Rms of the local frequency along the look about its mean, over that."""
-    look = image.look
-    steps = image.per_pixel(look)  # m along the look a column and a row
-    slopes = []
-    for axis, step in ((1, steps[0]), (0, steps[1])):
-        turn = np.angle(np.roll(field, -1, axis) * np.conj(field)) / (2 * np.pi * boxes.size)
-        slopes.append(turn * step / image.pixel_size**2)
-    base = boxes.wave @ look
-    local = base + slopes[0] + slopes[1]
-    used = (weight > 0)[:-1, :-1]
-    spread = np.median(np.abs(local[:-1, :-1][used] - mean[0])) * 1.48
-    return float(spread / max(abs(float(mean[0])), 1e-9))
 
 
 def _coherence_length(
@@ -552,41 +559,3 @@ def _coherence_length(
     below = np.flatnonzero(ratio < np.exp(-1))
     first = int(below[0]) if below.size else int(reach[-1])
     return float(first * boxes.size * image.pixel_size)
-
-
-def local_mean(
-    image: Image, phase: PhaseField, ratio: FloatArray
-) -> tuple[FloatArray, float, float]:
-    """Smooth the ratio of image and model over boxes: what trend is left.
-
-    Parameters
-    ----------
-    image : Image
-    phase : PhaseField
-    ratio : ndarray (rows, columns)
-        0 where there is none.
-
-    Returns
-    -------
-    trend : ndarray (box rows, box columns)
-        Mean 1.
-    rms : float
-        Its variation.
-    noise : float
-        What speckle alone would make of that.
-    """
-    used = ratio > 0
-    total = box_sums(np.minimum(ratio, 20.0), used, 0.0, 0.0, phase.box)[0].real
-    count = box_sums(used.astype(float), used, 0.0, 0.0, phase.box)[0].real
-    wavelength = 1 / (np.hypot(*image.per_pixel(phase.wave)) * phase.box)
-    sd = TREND_SD * float(wavelength)
-    smooth = _Smoother(total.shape, sd)
-    weight = smooth(count).real
-    level = smooth(total).real / np.maximum(weight, 1e-3 * weight.max())
-    filled = count > 0
-    mean = float(np.average(level[filled], weights=count[filled]))
-    level = np.where(weight > 1e-3 * weight.max(), level / mean, 1.0)
-    spread = (level[filled] - 1) ** 2
-    rms = float(np.sqrt(np.average(spread, weights=count[filled])))
-    pixels = 4 * np.pi * (sd * phase.box) ** 2
-    return np.maximum(level, 0.05), rms, float(np.sqrt(1 / pixels))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +9,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Sums of a fold over each bin, in this order.
-COUNT, KNOWN, TOTAL, PHASE, ALONG, SUMS = range(6)
-# What is kept of a pixel near an edge of shadow: its block, its phase past the crest, less how far
-# the edge there lies from the block's (cycles), its place along and across the look (m), its
-# intensity, and cosine and sine of its phase.
-EDGE_BLOCK, EDGE_PAST, EDGE_ALONG, EDGE_ACROSS, EDGE_POWER, EDGE_COSINE, EDGE_SINE, EDGE_PARTS = (
-    range(8)
-)
-# The golden ratio's multiples are even on the circle: they tell which pixels are kept.
-GOLDEN = 0.6180339887498949
+# Sums of each bin and of each block of a phase-range histogram, in this order.
+COUNT, UNSATURATED, INTENSITY, OFFSET, BIN_SUMS = range(5)
+PIXELS, PLACE, RANGE, ALTITUDE, TREND, BLOCK_SUMS = range(6)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -76,57 +67,6 @@ def wave_boxes(values, valid, per_column, per_row, width):  # type: ignore[no-un
     return turned, square, count
 
 
-class FoldPlan(NamedTuple):
-    """How pixels are folded.
-
-    Attributes
-    ----------
-    per_pixel : ndarray (2,)
-        Cycles a column and a row of the wave.
-    origin : float
-        Phase at the clip's centre, cycles.
-    along, across : ndarray (2,)
-        Metres along and across the look a column and a row.
-    start, cells : float
-        Where cells of `strip` begin along the look, m, and their number a metre.
-    strip : ndarray of int (cells,)
-        Strip of each cell.
-    centre : ndarray (strips,)
-        Place of strips along the look, m.
-    side, sides : float
-        Where blocks begin across the look, m, and their number a metre.
-    blocks : int
-        A strip.
-    bins : int
-    bend : ndarray (strips, 5)
-        Phases (cycles) where shadow begins and ends, by how much these move a metre along the look,
-        and whether it is unsure that any falls there; 0 where there is none.
-    zone : float
-        Half the width of what is near an edge, cycles.
-    share : float
-        Of the pixels there, how many are kept.
-    most : int
-        Of these, no more.
-    """
-
-    per_pixel: FloatArray
-    origin: float
-    along: FloatArray
-    across: FloatArray
-    start: float
-    cells: float
-    strip: NDArray[np.int64]
-    centre: FloatArray
-    side: float
-    sides: float
-    blocks: int
-    bins: int
-    bend: FloatArray
-    zone: float
-    share: float
-    most: int
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def box_place(i, size, boxes):  # type: ignore[no-untyped-def]
     """Lower box whose centre is at or before a pixel, and how far to the next one."""
@@ -174,112 +114,97 @@ def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _keep(edge, block, phase, moved, along, across, power):  # type: ignore[no-untyped-def]
-    """Fill what is kept of a pixel near an edge of shadow."""
-    edge[EDGE_BLOCK] = block
-    edge[EDGE_PAST] = phase / (2.0 * np.pi) - 0.25 - moved
-    edge[EDGE_ALONG] = along
-    edge[EDGE_ACROSS] = across
-    edge[EDGE_POWER] = power
-    edge[EDGE_COSINE] = np.cos(phase)
-    edge[EDGE_SINE] = np.sin(phase)
+def block_table(edges):  # type: ignore[no-untyped-def]
+    """Block of each of many even steps of range, and steps a metre."""
+    blocks = edges.size - 1
+    scale = 8 * blocks / (edges[-1] - edges[0])
+    table = np.empty(8 * blocks, np.int64)
+    b = 0
+    for k in range(table.size):
+        while b + 1 < blocks and edges[b + 1] <= edges[0] + (k + 0.5) / scale:
+            b += 1
+        table[k] = b
+    return table, scale
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fold_pixels(power, valid, saturated, ground_range, altitude, field, plan, zero):  # type: ignore[no-untyped-def]
-    """Sum pixels over bins of phase and blocks; `field` is their phase beyond the plan's, if any.
+def sum_pixels(  # type: ignore[no-untyped-def]
+    power, used, saturated, ground_range, altitude, trend, field, per_pixel, along, edges, bins, box
+):
+    """Sums of bins (blocks, bins, BIN_SUMS) and of blocks (blocks, BLOCK_SUMS).
 
-    `zero` is the ripple's phase, rad, at the first bin's beginning.
-
-    Returns sums (all blocks, bins, SUMS) of lit pixels; number not saturated and total intensity of
-    those in shadow (all blocks, 2); for each block sums of one, place along and across, ground
-    range and altitude (all blocks, 5); and pixels near an edge of shadow (n, EDGE_PARTS).
+    `field` is the phase beyond the plane wave, cycles (rows, columns), empty where there is none;
+    `per_pixel` cycles a column and a row and at the clip's middle; `along` metres along the look a
+    column and a row.
     """
     rows, columns = power.shape
-    every = plan.centre.size * plan.blocks
-    sums = np.zeros((every, plan.bins, SUMS))
-    dark = np.zeros((every, 2))
-    places = np.zeros((every, 5))
-    edges = np.empty((plan.most, EDGE_PARTS))
-    # taken out of the plan once: numba counts references to arrays at each access
-    strips, centre, bend = plan.strip, plan.centre, plan.bend
-    per_pixel, step, side_step = plan.per_pixel, plan.along, plan.across
-    near, kept = 0, 0
+    blocks = edges.size - 1
+    table, scale = block_table(edges)
+    sums = np.zeros((blocks, bins, BIN_SUMS))
+    places = np.zeros((blocks, BLOCK_SUMS))
     for i in range(rows):
         row = i - 0.5 * (rows - 1)
+        low_row, down = box_place(i, box, trend.shape[0])
         for j in range(columns):
-            if not valid[i, j]:
+            if not used[i, j]:
                 continue
             column = j - 0.5 * (columns - 1)
-            cycles = plan.origin + per_pixel[0] * column + per_pixel[1] * row
+            cycles = per_pixel[2] + per_pixel[0] * column + per_pixel[1] * row
             if field.size > 0:
                 cycles += field[i, j]
             cycles -= np.floor(cycles)
-            along = step[0] * column + step[1] * row
-            across = side_step[0] * column + side_step[1] * row
-            strip = strips[min(max(int((along - plan.start) * plan.cells), 0), strips.size - 1)]
-            side = min(max(int((across - plan.side) * plan.sides), 0), plan.blocks - 1)
-            block = strip * plan.blocks + side
-            places[block, 0] += 1.0
-            places[block, 1] += along
-            places[block, 2] += across
-            places[block, 3] += ground_range[i, j]
-            places[block, 4] += altitude[i, j]
-            if bend[strip, 1] > 0.0:
-                offset = along - centre[strip]
-                begin = bend[strip, 0] + bend[strip, 2] * offset
-                end = bend[strip, 1] + bend[strip, 3] * offset
-                last = cycles - begin > end - cycles
-                distance = min(cycles - begin, end - cycles)
-                if bend[strip, 4] > 0.0 and distance > -plan.zone:
-                    continue
-                if abs(distance) < plan.zone:
-                    near += 1
-                    turn = near * GOLDEN
-                    chosen = turn - np.floor(turn) < plan.share and kept < plan.most
-                    if chosen and not saturated[i, j]:
-                        moved = (bend[strip, 3] if last else bend[strip, 2]) * offset
-                        phase = 2.0 * np.pi * cycles + zero
-                        _keep(edges[kept], block, phase, moved, along, across, power[i, j])
-                        kept += 1
-                    continue
-                if distance > 0.0:
-                    dark[block, 0] += 0.0 if saturated[i, j] else 1.0
-                    dark[block, 1] += power[i, j]
-                    continue
-            k = min(int(cycles * plan.bins), plan.bins - 1)
-            sums[block, k, COUNT] += 1.0
-            sums[block, k, KNOWN] += 0.0 if saturated[i, j] else 1.0
-            sums[block, k, TOTAL] += power[i, j]
-            sums[block, k, PHASE] += cycles - (k + 0.5) / plan.bins
-            sums[block, k, ALONG] += along
-    return sums, dark, places, edges[:kept]
+            k = min(int(cycles * bins), bins - 1)
+            reach = ground_range[i, j]
+            b = table[min(max(int((reach - edges[0]) * scale), 0), table.size - 1)]
+            low_column, right = box_place(j, box, trend.shape[1])
+            level = between(trend, low_row, down, low_column, right)
+            sums[b, k, COUNT] += 1.0
+            sums[b, k, UNSATURATED] += 0.0 if saturated[i, j] else 1.0
+            sums[b, k, INTENSITY] += power[i, j] / level
+            sums[b, k, OFFSET] += cycles - (k + 0.5) / bins
+            places[b, PIXELS] += 1.0
+            places[b, PLACE] += along[0] * column + along[1] * row
+            places[b, RANGE] += reach
+            places[b, ALTITUDE] += altitude[i, j]
+            places[b, TREND] += level
+    return sums, places
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def unfold_pixels(known, field, plan, pulses):  # type: ignore[no-untyped-def]
-    """Spread pulses (all blocks, bins) back over the pixels that are known; 0 elsewhere.
+def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type: ignore[no-untyped-def]
+    """Spread pulses (blocks, bins) over the pixels that are known; 0 elsewhere.
 
-    The opposite of :func:`fold_pixels`.
+    `places` are the blocks' mean ranges, between which pulses are interpolated: the opposite of
+    :func:`sum_pixels`.
     """
     rows, columns = known.shape
+    blocks, bins = pulses.shape
     image = np.zeros((rows, columns))
-    strips = plan.strip
-    per_pixel, step, side_step = plan.per_pixel, plan.along, plan.across
+    b = 0
     for i in range(rows):
         row = i - 0.5 * (rows - 1)
         for j in range(columns):
             if not known[i, j]:
                 continue
             column = j - 0.5 * (columns - 1)
-            cycles = plan.origin + per_pixel[0] * column + per_pixel[1] * row
+            cycles = per_pixel[2] + per_pixel[0] * column + per_pixel[1] * row
             if field.size > 0:
                 cycles += field[i, j]
             cycles -= np.floor(cycles)
-            along = step[0] * column + step[1] * row
-            across = side_step[0] * column + side_step[1] * row
-            strip = strips[min(max(int((along - plan.start) * plan.cells), 0), strips.size - 1)]
-            side = min(max(int((across - plan.side) * plan.sides), 0), plan.blocks - 1)
-            k = min(int(cycles * plan.bins), plan.bins - 1)
-            image[i, j] = pulses[strip * plan.blocks + side, k]
+            x = cycles * bins + (bins - 0.5)
+            low = int(x)
+            share = x - low
+            low -= bins if low >= bins else 0
+            high = low + 1 if low + 1 < bins else 0
+            reach = ground_range[i, j]
+            while b + 1 < blocks - 1 and places[b + 1] < reach:
+                b += 1
+            while b > 0 and places[b] > reach:
+                b -= 1
+            after = min(b + 1, blocks - 1)
+            width = places[after] - places[b]
+            part = min(max((reach - places[b]) / width, 0.0), 1.0) if width > 0.0 else 0.0
+            here = pulses[b, low] + share * (pulses[b, high] - pulses[b, low])
+            there = pulses[after, low] + share * (pulses[after, high] - pulses[after, low])
+            image[i, j] = here + part * (there - here)
     return image

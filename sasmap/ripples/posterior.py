@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 from typing import Any
@@ -11,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sasmap.ripples import diagnostics
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.priors import Prior
 
 FloatArray = NDArray[np.float64]
 
@@ -59,7 +60,6 @@ class LeftOut(IntFlag):
     SHADOW = 4
     ORIENTATION = 8
     PHASE_FIELD = 16
-    TREND = 32
 
 
 NOTHING = LeftOut(0)
@@ -71,8 +71,6 @@ class Shape:
 
     Attributes
     ----------
-    profile : str
-        sine, stokes or peaked.
     coherence_length : float
         Distance over which the phase, less its mean slope, stays correlated (1/e), m; at least
         the clip's diagonal where crests are straight.
@@ -84,7 +82,6 @@ class Shape:
         Variance of the speckle over that of independent pixels.
     """
 
-    profile: str
     coherence_length: float
     rippled_fraction: float
     stiffness: float
@@ -120,11 +117,9 @@ class Posterior:
     prior : Prior
         Of (f, A_H), as used.
     draws : Dataset (chain, draw)
-        ``frequency`` (cycles/m), ``height`` (A_H, m), ``phase`` (rad, at the clip's centre) and
-        ``noise`` (floor over the flat sea floor's intensity), ``azimuth`` (crest normal, degrees
-        clockwise from grid north, unwrapped about its mean) and ``blur`` (with a phase field the
-        log of its error, rad; without, how many pixels behind its place the beginning of shadow is
-        seen); without draws where no ripple was sampled.
+        ``frequency`` (cycles/m), ``height`` (A_H, m), ``azimuth`` (crest normal, degrees clockwise
+        from grid north, unwrapped about its mean), and the other parameters of
+        :class:`sasmap.ripples.rendering.Parameters`; empty where no ripple was sampled.
     acceptance : float
         Accepted fraction of the kept steps.
     left_out : LeftOut
@@ -136,8 +131,6 @@ class Posterior:
     model : ndarray (rows, columns) or None
         Posterior mean of the amplitude, in the clip's units, where asked for; NaN where no
         geometry is known or no ripple is.
-    chains : Dataset (chain, draw)
-        The Markov chains that `draws` were made from, for diagnostics; `draws` where not given.
     relief : ndarray (rows, columns) or None
         With `model`: the same over the amplitude of flat sea floor.
     """
@@ -150,7 +143,6 @@ class Posterior:
     probability: float = float("nan")
     shape: Shape | None = None
     model: FloatArray | None = None
-    chains: xr.Dataset = field(default_factory=xr.Dataset)
     relief: FloatArray | None = None
 
     @property
@@ -199,16 +191,14 @@ class Posterior:
 
         if not self.sampled:
             raise ValueError("nothing was sampled")
-        chains = self.chains if self.chains.sizes else self.draws
-        values = {str(name): chains[name].values for name in chains}
+        values = {str(name): self.draws[name].values for name in self.draws}
         if hasattr(arviz, "InferenceData"):
             return arviz.from_dict(posterior=values)
         return arviz.from_dict({"posterior": values})
 
     @property
     def _judged(self) -> dict[str, FloatArray]:
-        chains = self.chains if self.chains.sizes else self.draws
-        return {name: chains[name].values for name in JUDGED if name in chains}
+        return {name: self.draws[name].values for name in JUDGED if name in self.draws}
 
     @property
     def rhat(self) -> dict[str, float]:
@@ -235,14 +225,22 @@ def converged(draws: FloatArray) -> bool:
     )
 
 
-def dataset(draws: FloatArray, names: tuple[str, ...]) -> xr.Dataset:
-    """Label draws (chain, draw, parameter)."""
-    units = {"frequency": "cycles/m", "height": "m", "phase": "rad", "noise": "1"}
-    units |= {"azimuth": "degrees", "blur": "pixels or log rad"}
+UNITS = {
+    "frequency": "cycles/m",
+    "height": "m",
+    "azimuth": "degrees",
+    "phase": "rad",
+    "blur": "cycles",
+}
+
+
+def dataset(draws: Mapping[str, FloatArray]) -> xr.Dataset:
+    """Label draws (chain, draw) of named parameters with their units, 1 where they have none."""
+    shape = next(iter(draws.values())).shape
     return xr.Dataset(
         {
-            name: (("chain", "draw"), draws[..., i], {"units": units[name]})
-            for i, name in enumerate(names)
+            name: (("chain", "draw"), values, {"units": UNITS.get(name, "1")})
+            for name, values in draws.items()
         },
-        coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
+        coords={"chain": np.arange(shape[0]), "draw": np.arange(shape[1])},
     )

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from sasmap.ripples.clip import Clip, mean_look
-from sasmap.ripples.folded import PriorData
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.scattering import SIGMA_VARIANCE
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +26,21 @@ NARROW_WEIGHT = 0.7
 NARROW_VARIANCE, WIDE_VARIANCE = 0.01, 0.1
 # The paper gives no number; with this one the printed errors come out (SCIENCE 3).
 ITERATIONS = 5000
+
+
+class PriorData(NamedTuple):
+    """Truncated Gaussian prior of f and A_H: arrays (2,); precision 0 where flat."""
+
+    mean: FloatArray
+    precision: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+def prior_data(prior: Prior) -> PriorData:
+    """Return a prior as the compiled code reads it."""
+    lower, upper = np.array(prior.bounds, float).T
+    return PriorData(np.array(prior.mean, float), 1 / np.array(prior.sd) ** 2, lower, upper)
 
 
 class PublishedData(NamedTuple):
@@ -95,7 +109,7 @@ def initial(data: PublishedData, image: FloatArray, prior: PriorData) -> FloatAr
     frequency = np.fft.rfftfreq(data.mean.size, step)
     peak = frequency[1 + int(np.argmax(power[1:]))]
     rms = np.sqrt(np.nanmean(image**2))
-    return np.asarray(np.clip(np.array([peak, rms]), prior.lower[:2], prior.upper[:2]))
+    return np.asarray(np.clip(np.array([peak, rms]), prior.lower, prior.upper))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -127,7 +141,7 @@ def published_log_posterior(theta, data, prior):  # type: ignore[no-untyped-def]
     for i in range(2):
         if not (prior.lower[i] <= theta[i] <= prior.upper[i]):
             return -np.inf
-        value -= 0.5 * prior.precision[i, i] * (theta[i] - prior.mean[i]) ** 2
+        value -= 0.5 * prior.precision[i] * (theta[i] - prior.mean[i]) ** 2
     model = published_amplitude(theta[0], theta[1], data)
     for i in range(model.size):
         value -= 0.5 * data.pixels[i] * (data.mean[i] - model[i]) ** 2
@@ -173,7 +187,7 @@ def sample_published(
     acceptance : float
     """
     image = normalise(clip)
-    data, compiled = reduce(clip, image), prior.compiled(mean_look(clip))
+    data, compiled = reduce(clip, image), prior_data(prior)
     draws = np.empty((ITERATIONS, 2))
     accepted = algorithm_one(initial(data, image, compiled), data, compiled, rng, draws)
     return draws[None, ITERATIONS // 2 :], accepted / (2.0 * ITERATIONS)

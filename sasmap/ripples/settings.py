@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 Bounds = tuple[FiniteFloat, FiniteFloat]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
+
+
+class Exponent(BaseModel):
+    """A scattering law: intensity follows the sine of the local grazing angle to a power."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    exponent: Annotated[FiniteFloat, Field(ge=0, le=4)]
 
 
 class RippleSettings(BaseModel):
@@ -29,16 +38,11 @@ class RippleSettings(BaseModel):
         "line-of-sight",
         description="shadow rule; crest is the published one, always used by zare-cobb",
     )
-    profile: Literal["auto", "sine", "stokes", "peaked"] = Field(
-        "auto", description="crest profile; auto: sine unless the image says otherwise"
-    )
-    presence: Literal["tested", "assumed"] = Field(
-        "tested",
-        description="assumed: the strongest wave of every cell is estimated, ripple or not",
-    )
-    speckle: Literal["measured", "independent"] = Field(
-        "measured",
-        description="measured: correlated and textured speckle counts as fewer pixels",
+    scattering: Literal["estimated", "zare-cobb", "lambert"] | Exponent = Field(
+        "estimated",
+        description="scattering law; estimated: learned from the image with A_H; zare-cobb: the "
+        "published model; lambert, or {exponent: n}: intensity follows the sine of the local "
+        "grazing angle to the power 2, or n",
     )
     scatter: tuple[NotNegative, NotNegative, NotNegative] = Field(
         (0.00003, 0.0003, 0.005),
@@ -67,3 +71,22 @@ class RippleSettings(BaseModel):
         if self.frequency[0] == 0 and self.method == "default":
             raise ValueError("frequency: expected a lower bound above 0 cycles/m")
         return self
+
+
+def scattering_law(setting: str | Exponent) -> tuple[float, float] | None:
+    """Exponent and concentration of a law that the settings fix, None where it is estimated.
+
+    Parameters
+    ----------
+    setting : str or Exponent
+        ``RippleSettings.scattering``.
+
+    Returns
+    -------
+    tuple of float or None
+        n and c of the intensity sin^n(theta) exp(-c (theta - pi/2)^2).
+    """
+    if isinstance(setting, Exponent):
+        return setting.exponent, 0.0
+    # the Gaussian amplitude of Zare and Cobb has the variance pi/3
+    return {"lambert": (2.0, 0.0), "zare-cobb": (0.0, 3.0 / math.pi)}.get(setting)

@@ -1,4 +1,4 @@
-"""Priors of ripple parameters (ZC 7-9; SCIENCE 3)."""
+"""Priors of ripple parameters (Zare and Cobb 2013, equations 7 to 9)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from sasmap.ripples.folded import PriorData
-
 FloatArray = NDArray[np.float64]
 
-# Sand stands no steeper than its angle of repose, 30 to 35 degrees; ripples of no sea floor are
-# steeper than 45.
-STEEPEST = 1.0
+# Crest to trough over wavelength of natural ripples: 0.03 to 0.2, typically about 0.1 (vortex
+# ripples 0.1 to 0.2, worn ones less). Median and standard deviation of the log.
+NATURAL_STEEPNESS = (0.09, 0.7)
+ANY_STEEPNESS = (0.09, float("inf"))
 
 
 @dataclass(frozen=True)
 class Prior:
     """Truncated Gaussian prior of (f, A_H) (ZC 7-9), flat where a standard deviation is infinite.
-
-    The azimuth is axial: its Gaussian is wrapped at 180 degrees.
 
     Attributes
     ----------
@@ -30,43 +27,27 @@ class Prior:
         Of f (cycles/m) and A_H (m) before truncation.
     bounds : tuple of tuple of float
         Truncation bounds of f and of A_H.
-    correlation : float
-        Between f and A_H.
-    azimuth : tuple of float
-        Mean and standard deviation of the crest normal's azimuth, degrees; flat where infinite.
-    steepest : float
-        Largest steepness 2 pi f A_H.
+    steepness : tuple of float
+        Log-normal prior of crest to trough over wavelength: median and standard deviation of the
+        log; infinite for none.
     """
 
     mean: tuple[float, float]
     sd: tuple[float, float]
     bounds: tuple[tuple[float, float], tuple[float, float]]
-    correlation: float = 0.0
-    azimuth: tuple[float, float] = (0.0, float("inf"))
-    steepest: float = float("inf")
+    steepness: tuple[float, float] = ANY_STEEPNESS
+
+    @classmethod
+    def natural(cls, frequency: tuple[float, float], height: tuple[float, float]) -> Self:
+        """Return the prior of natural ripples, flat within the bounds but for their steepness."""
+        middle = (sum(frequency) / 2, sum(height) / 2)
+        return cls(middle, (np.inf, np.inf), (frequency, height), NATURAL_STEEPNESS)
 
     @classmethod
     def flat(cls, frequency: tuple[float, float], height: tuple[float, float]) -> Self:
-        """Return the prior that knows the bounds alone, and that sand does not stand upright."""
+        """Return the prior that knows the bounds alone."""
         middle = (sum(frequency) / 2, sum(height) / 2)
-        return cls(middle, (np.inf, np.inf), (frequency, height), steepest=STEEPEST)
-
-    def compiled(self, look: float) -> PriorData:
-        """Return the arrays that the compiled code reads, for a look azimuth in degrees."""
-        inverse = np.array([1 / self.sd[0], 1 / self.sd[1], 1 / np.radians(self.azimuth[1])])
-        shape = np.eye(3)
-        shape[:2, :2] = np.array([[1.0, -self.correlation], [-self.correlation, 1.0]])
-        shape[:2, :2] /= 1 - self.correlation**2
-        # of the two directions of the normal, the one that the sonar looks along
-        turn = (self.azimuth[0] - look + 90.0) % 180.0 - 90.0
-        (f_low, f_high), (h_low, h_high) = self.bounds
-        return PriorData(
-            np.array([*self.mean, np.radians(look + turn)]),
-            inverse[:, None] * shape * inverse,
-            np.array([f_low, h_low, -np.inf]),
-            np.array([f_high, h_high, np.inf]),
-            self.steepest,
-        )
+        return cls(middle, (np.inf, np.inf), (frequency, height))
 
 
 def log_truncated_normal(

@@ -1,0 +1,297 @@
+"""One clip to its posterior: is there a ripple, fit, sample, judge."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sasmap.ripples.clip import Clip
+from sasmap.ripples.detection import Spectrum, Wave, find_waves, spectrum, too_long
+from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
+from sasmap.ripples.image import Image, as_image
+from sasmap.ripples.model import modelled
+from sasmap.ripples.optimise import COORDINATES, free_coordinates
+from sasmap.ripples.posterior import (
+    NOTHING,
+    LeftOut,
+    Posterior,
+    Quality,
+    Shape,
+    converged,
+    dataset,
+)
+from sasmap.ripples.priors import Prior
+from sasmap.ripples.published import sample_published
+from sasmap.ripples.rendering import log_posteriors, parameters_at
+from sasmap.ripples.sampler import (
+    LogDensity,
+    Proposal,
+    metropolis_hastings,
+    mixture_of_peaks,
+    population,
+)
+from sasmap.ripples.settings import RippleSettings
+
+FloatArray = NDArray[np.float64]
+
+MIN_PIXELS = 400
+# Points of the rounds in which the proposal is learned, and draws a chain of the rounds after which
+# convergence is judged.
+LEARNED, ROUND = (300, 300, 400), 300
+# Log posterior below the best peak's at which another counts for nothing.
+NEGLIGIBLE = 15.0
+# Draws from which the lag's slope over range is learned.
+LAG_DRAWS = 60
+# Probability from which a clip counts as rippled.
+PRESENT = 0.5
+# Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
+MIN_ALONG = 0.07
+# Share of the strongest wave's energy from which its half or double is tried as well.
+RIVAL = 0.25
+# Power over the spectrum around it that a wave seen along its crests must have to be remarked.
+STRIKING = 200.0
+
+
+def estimate(
+    clip: Clip | xr.DataArray,
+    settings: RippleSettings | None = None,
+    *,
+    rng: np.random.Generator | int | None = None,
+    prior: Prior | None = None,
+) -> Posterior:
+    """Estimate ripple frequency f and height A_H from one clip.
+
+    Parameters
+    ----------
+    clip : Clip or DataArray (y, x)
+        Linear amplitudes with ``x``, ``y``, ``ground_range``, ``altitude`` (m) and
+        ``look_azimuth`` (degrees) coordinates, as :func:`sasmap.open_pass` gives them.
+    settings : RippleSettings, optional
+        The survey's ``ripples`` block.
+    rng : Generator or int, optional
+        Source of randomness or its seed; the same seed gives the same posterior to the bit.
+    prior : Prior, optional
+        Of (f, A_H); that of natural ripples within the settings' bounds if not given.
+
+    Returns
+    -------
+    Posterior
+        Its quality says whether there are draws, and whether they converged.
+
+    Raises
+    ------
+    ValueError
+        Where a coordinate is missing.
+
+    Notes
+    -----
+    The default method finds the ripple's wave in the clip's spectrum, follows its phase where
+    crests bend, sums the pixels by phase and range and samples the speckle likelihood of a rendered
+    wavelength (:mod:`sasmap.ripples.rendering`), its scattering law included; "zare-cobb" is the published sampler (Zare and Cobb 2013), which
+    takes crests as straight and looked at square-on.
+
+    Examples
+    --------
+    >>> import sasmap
+    >>> survey = sasmap.load_survey("sample_data/survey.yaml")
+    >>> clip = sasmap.open_pass(survey, "near")[:500, :500]  # f is 0.6 cycles/m, A_H 0.07 m
+    >>> posterior = estimate(clip, survey.ripples, rng=1)
+    >>> posterior.quality.label, posterior.draws["frequency"].dims
+    ('good', ('chain', 'draw'))
+    >>> abs(float(posterior.mean.frequency) - 0.6) < 0.003
+    True
+    """
+    settings = settings or RippleSettings()
+    rng = np.random.default_rng(rng)
+    if isinstance(clip, xr.DataArray):
+        clip = Clip.from_array(clip)
+    prior = prior or Prior.natural(settings.frequency, settings.height)
+    valid = clip.valid
+    if valid.sum() < MIN_PIXELS:
+        return Posterior(Quality.TOO_FEW_PIXELS, prior)
+    if np.ptp(clip.amplitude[valid]) == 0:
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
+    if settings.method == "zare-cobb":
+        return _published(clip, prior, rng)
+    return _default(clip, settings, prior, rng)
+
+
+def _default(
+    clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
+) -> Posterior:
+    image = as_image(clip)
+    found = spectrum(image)
+    if found is None:
+        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
+    waves = find_waves(image, found, settings.frequency)
+    if waves is None:
+        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
+    chosen, probability = _candidates(image, waves)
+    if not chosen:
+        quality = _why_not(image, found, waves, settings)
+        return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
+    task = Task(image, settings, prior, clip.altitude_sd)
+    fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.peaks[0].level)
+    points, acceptance, done = _sampled(fit, settings, rng)
+    draws = _labelled(points, fit, image, rng)
+    image_of = modelled(clip, image, fit, points) if settings.keep_model else None
+    return Posterior(
+        _judged(draws, done, image),
+        prior,
+        draws,
+        acceptance,
+        _left_out(fit),
+        probability,
+        Shape(
+            fit.phase.coherence_length,
+            fit.phase.rippled_fraction,
+            fit.phase.stiffness,
+            fit.geometry.noise_factor,
+        ),
+        None if image_of is None else image_of.amplitude,
+        None if image_of is None else image_of.relief,
+    )
+
+
+def _candidates(image: Image, waves: list[Wave]) -> tuple[list[Wave], float]:
+    """Waves to fit, and the probability that there is a ripple.
+
+    The strongest of those that pass, and those half or twice as long that come near it.
+    """
+    visible = [w for w in waves if _along_look(image, w) > MIN_ALONG]
+    probability = max((w.probability for w in visible), default=0.0)
+    passed = [w for w in visible if w.probability > PRESENT]
+    if not passed:
+        return [], probability
+    first = max(passed, key=lambda w: w.energy)
+    others = [w for w in passed if w.energy > RIVAL * first.energy and _harmonic(w, first)]
+    return [first, *others[:1]], probability
+
+
+def _along_look(image: Image, wave: Wave) -> float:
+    return float(abs(wave.vector @ image.look) / np.hypot(*wave.vector))
+
+
+def _harmonic(wave: Wave, first: Wave) -> bool:
+    """Whether a wave is nearly half or twice another."""
+    ratio = np.hypot(*wave.vector) / np.hypot(*first.vector)
+    cosine = abs(wave.vector @ first.vector) / (np.hypot(*wave.vector) * np.hypot(*first.vector))
+    return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
+
+
+def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleSettings) -> Quality:
+    """Quality of a clip without a wave that could be estimated."""
+    hidden = [w for w in waves if w.probability > 0.99 and w.power > STRIKING]
+    if hidden or too_long(image, found, settings.frequency):
+        return Quality.NOT_IDENTIFIABLE
+    return Quality.NO_RIPPLES
+
+
+def _sampled(
+    fit: Fit, settings: RippleSettings, rng: np.random.Generator
+) -> tuple[FloatArray, float, bool]:
+    """Sampling coordinates (chain, draw, COORDINATES), accepted fraction, whether they converged."""
+    free = free_coordinates(fit.geometry)
+
+    def log_density(points: FloatArray) -> FloatArray:
+        whole = np.zeros((len(points), COORDINATES))
+        whole[:, free] = points
+        return np.asarray(log_posteriors(whole, fit.data, fit.geometry))
+
+    best = fit.peaks[0].level
+    peaks = [p for p in fit.peaks if p.level > best - NEGLIGIBLE]
+    proposal = mixture_of_peaks([(p.z[free], p.covariance, p.level - best) for p in peaks])
+    members, proposal = population(log_density, proposal, LEARNED, rng)
+    draws, accepted, done = _chains(log_density, proposal, members, settings, rng)
+    whole = np.zeros((*draws.shape[:2], COORDINATES))
+    whole[..., free] = draws
+    return whole, accepted, done
+
+
+def _chains(
+    log_density: LogDensity,
+    proposal: Proposal,
+    members: FloatArray,
+    settings: RippleSettings,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, float, bool]:
+    """Run chains until they converge, or for the largest number of draws."""
+    states = members[rng.permutation(len(members))[: settings.chains]]
+    rounds: list[FloatArray] = []
+    accepted, kept, done = 0.0, 0, False
+    while kept < settings.draws and not done:
+        steps = min(max(ROUND, kept // 2), settings.draws - kept)
+        chains = metropolis_hastings(log_density, proposal, states, steps, rng)
+        states = chains.draws[:, -1]
+        accepted += chains.accepted * steps
+        kept += steps
+        rounds.append(chains.draws)
+        draws = np.concatenate(rounds, axis=1)
+        # wave number, phase, contrast, and the law by which that is a height
+        done = all(converged(draws[..., i]) for i in range(min(4, draws.shape[2])))
+    return draws, accepted / kept, done
+
+
+def _labelled(
+    points: FloatArray, fit: Fit, image: Image, rng: np.random.Generator
+) -> xr.Dataset:
+    """Name draws and give them the units that people read."""
+    flat = [parameters_at(z, fit.geometry) for z in points.reshape(-1, COORDINATES)]
+    shape = points.shape[:2]
+    named = {
+        name: np.array([getattr(p, name) for p in flat]).reshape(shape) for name in flat[0]._fields
+    }
+    sd = fit.phase.wave_sd * np.sqrt(fit.geometry.noise_factor)
+    across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
+    along = fit.geometry.along + named.pop("wave_offset")
+    if not fit.phase.rigid:
+        along = along + sd[0] * rng.standard_normal(shape) + _lag_slopes(points, fit)
+    azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
+    azimuth -= 180.0 * np.floor(azimuth.mean() / 180.0)
+    named["phase"] %= 2 * np.pi
+    return dataset({"frequency": np.hypot(along, across), "azimuth": azimuth, **named})
+
+
+def _lag_slopes(points: FloatArray, fit: Fit) -> FloatArray:
+    """What shadow and lean make of the slope of the image's phase, cycles/m, for each draw.
+
+    Learned from some draws: it is nearly linear in the sampling coordinates.
+    """
+    every = points.reshape(-1, COORDINATES)
+    some = every[:: max(len(every) // LAG_DRAWS, 1)]
+    pixels = fit.data.pixel_count.sum(axis=1)
+    place = fit.data.place - np.average(fit.data.place, weights=pixels)
+    weight = pixels * place / max(float((pixels * place**2).sum()), 1e-12)
+    slopes = [weight @ np.unwrap(pulses_at(fit, z)[1]) / (2 * np.pi) for z in some]
+    design = np.column_stack([some, np.ones(len(some))])
+    line = np.linalg.lstsq(design, np.array(slopes), rcond=None)[0]
+    return np.asarray((every @ line[:-1] + line[-1]).reshape(points.shape[:2]))
+
+
+def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:
+    """Quality of a sampled clip."""
+    along = np.abs(np.cos(np.radians(draws["azimuth"].values - image.azimuth)))
+    if np.quantile(along, 0.05) < MIN_ALONG:
+        return Quality.NOT_IDENTIFIABLE
+    return Quality.GOOD if done else Quality.NOT_CONVERGED
+
+
+def _left_out(fit: Fit) -> LeftOut:
+    left_out = NOTHING
+    if fit.phase.rigid:
+        left_out |= LeftOut.PHASE_FIELD
+    if fit.geometry.shadow == 0:
+        left_out |= LeftOut.SHADOW
+    return left_out
+
+
+def _published(clip: Clip, prior: Prior, rng: np.random.Generator) -> Posterior:
+    draws, acceptance = sample_published(clip, prior, rng)
+    return Posterior(
+        Quality.NOT_CONVERGED,  # one chain cannot show that it converged
+        prior,
+        dataset({"frequency": draws[..., 0], "height": draws[..., 1]}),
+        acceptance,
+        LeftOut.PRESENCE_TEST | LeftOut.ORIENTATION | LeftOut.PHASE_FIELD,
+    )

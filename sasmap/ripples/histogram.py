@@ -1,0 +1,114 @@
+"""The phase-range histogram of a clip: the sums through which its pixels enter the likelihood."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.clip import DYNAMIC_RANGE
+from sasmap.ripples.image import Image
+from sasmap.ripples.phase import PhaseField
+from sasmap.ripples.pixels import (
+    ALTITUDE,
+    COUNT,
+    INTENSITY,
+    OFFSET,
+    PIXELS,
+    PLACE,
+    RANGE,
+    TREND,
+    UNSATURATED,
+    sum_pixels,
+)
+from sasmap.ripples.rendering import Histogram
+
+FloatArray = NDArray[np.float64]
+
+# Blocks of range over which one pulse is rendered: at 4 m the slope of the ray changes by a quarter
+# over a metre, and a pulse rendered anew each quarter of a metre moved A_H by 2 %.
+LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.025
+# Bins of phase a pixel along the look, and their least and largest number.
+BINS_A_PIXEL, LEAST_BINS, MOST_BINS = 1.25, 16, 64
+
+
+def range_edges(nearest: float, farthest: float) -> FloatArray:
+    """Edges of the blocks of ground range, m.
+
+    Parameters
+    ----------
+    nearest, farthest : float
+        Of the pixels, m.
+
+    Returns
+    -------
+    ndarray (blocks + 1,)
+    """
+    edges = [nearest]
+    while edges[-1] < farthest:
+        edges.append(edges[-1] + max(LEAST_BLOCK, BLOCK_SHARE * edges[-1]))
+    stretch = (farthest - nearest) / (edges[-1] - nearest)
+    return nearest + stretch * (np.array(edges) - nearest) if len(edges) > 1 else np.array(
+        [nearest, nearest + LEAST_BLOCK]
+    )
+
+
+def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
+    """Sum a clip's rippled pixels over bins of phase and range.
+
+    Parameters
+    ----------
+    image : Image
+    trend : ndarray (box rows, box columns)
+        Local mean intensity of the phase field's boxes.
+    phase : PhaseField
+
+    Returns
+    -------
+    Histogram
+    """
+    used = image.valid & phase.pixels(phase.covered, image.shape)
+    along = float(phase.wave @ image.look)
+    pixels = 1 / (along * image.pixel_size)
+    bins = int(np.clip(round(BINS_A_PIXEL * pixels), LEAST_BINS, MOST_BINS))
+    reach = image.ground_range[used]
+    edges = range_edges(float(reach.min()), float(reach.max()))
+    sums, blocks = sum_pixels(
+        image.power + DYNAMIC_RANGE,
+        used,
+        image.saturated,
+        image.ground_range,
+        image.altitude,
+        trend,
+        phase.cycles(image.shape),
+        phase.per_pixel(image),
+        image.look @ image.steps,
+        edges,
+        bins,
+        phase.box,
+    )
+    return _as_histogram(sums, blocks, 1 / along)
+
+
+def _as_histogram(sums: FloatArray, blocks: FloatArray, wavelength: float) -> Histogram:
+    """Drop empty blocks, turn sums into means and number the groups that share a gain."""
+    filled = blocks[:, PIXELS] > 0
+    sums, blocks = sums[filled], blocks[filled]
+    mean = blocks / blocks[:, [PIXELS]]
+    group = np.zeros(len(mean), np.int64)
+    begin = mean[0, RANGE]
+    for b in range(1, len(mean)):
+        whole = mean[b, RANGE] - begin >= wavelength
+        enough = mean[-1, RANGE] - mean[b, RANGE] >= 0.9 * wavelength
+        group[b] = group[b - 1] + (whole and enough)
+        if group[b] > group[b - 1]:
+            begin = mean[b, RANGE]
+    return Histogram(
+        sums[..., UNSATURATED].copy(),
+        sums[..., INTENSITY].copy(),
+        sums[..., OFFSET] / np.maximum(sums[..., COUNT], 1),
+        mean[:, PLACE].copy(),
+        mean[:, RANGE].copy(),
+        mean[:, ALTITUDE].copy(),
+        mean[:, TREND].copy(),
+        group,
+    )

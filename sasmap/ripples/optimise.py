@@ -1,0 +1,146 @@
+"""The most likely parameters of a clip: a scan of heights and laws, then Fisher scoring."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.rendering import (
+    Geometry,
+    Histogram,
+    contrast_per_slope,
+    fill_expected,
+    log_posterior,
+    log_prior,
+    parameters_at,
+)
+
+FloatArray = NDArray[np.float64]
+
+COORDINATES = 11
+# Heights of the scan: from this slope to the steepest that sand holds.
+LEAST_SLOPE, HEIGHTS = 0.01, 16
+# Laws of the scan, by the coordinate of the exponent.
+LAWS = (-1.3, 0.3, 1.3)
+# Steps by which derivatives are taken, in sampling coordinates, and largest steps of the scoring.
+STEP, LONGEST = 1e-3, 1.5
+ROUNDS, ENOUGH = 25, 1e-3
+
+
+class Peak(NamedTuple):
+    """A local maximum of the posterior.
+
+    Attributes
+    ----------
+    z : ndarray (COORDINATES,)
+    level : float
+        Its log posterior.
+    covariance : ndarray (free, free)
+        Inverse of the information there.
+    """
+
+    z: FloatArray
+    level: float
+    covariance: FloatArray
+
+
+def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
+    """Which sampling coordinates are estimated: those not fixed by the settings."""
+    fixed = np.isfinite(geometry.fixed)
+    return np.array([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
+
+
+def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
+    """Starts for :func:`climb`: the best height for each of a few laws, the likeliest first."""
+    tangent = geometry.altitude_middle / geometry.range_middle
+    wave = np.hypot(geometry.along, geometry.across)
+    slopes = np.geomspace(LEAST_SLOPE, 0.95, HEIGHTS)
+    found = []
+    laws = LAWS if np.isnan(geometry.fixed[0]) else LAWS[:1]
+    for law in laws:
+        z = np.zeros(COORDINATES)
+        z[3] = law
+        best, best_level = None, -np.inf
+        for height in slopes / (2 * np.pi * wave):
+            ripple = parameters_at(z, geometry)
+            per_slope = contrast_per_slope(ripple.exponent, ripple.concentration, tangent)
+            z[2] = np.log(height * per_slope)
+            level = log_posterior(z, data, geometry)
+            if level > best_level:
+                best, best_level = z.copy(), level
+        if best is not None:
+            found.append((best_level, best))
+    return [z for _, z in sorted(found, key=lambda f: -f[0])]
+
+
+def climb(start: FloatArray, data: Histogram, geometry: Geometry) -> Peak:
+    """Climb to the nearest maximum of the posterior by damped Fisher scoring.
+
+    Parameters
+    ----------
+    start : ndarray (COORDINATES,)
+        With finite log posterior.
+    data : Histogram
+    geometry : Geometry
+
+    Returns
+    -------
+    Peak
+    """
+    free = free_coordinates(geometry)
+    z, level = start.copy(), log_posterior(start, data, geometry)
+    damping = 1e-3
+    gradient, information = _slope(z, data, geometry, free)
+    for _ in range(ROUNDS):
+        scale = np.diag(information)
+        step = np.linalg.solve(information + damping * np.diag(scale), gradient)
+        step *= min(1.0, LONGEST / np.abs(step).max())
+        trial = z.copy()
+        trial[free] += step
+        reached = log_posterior(trial, data, geometry)
+        if reached > level:
+            gain, z, level = reached - level, trial, reached
+            damping = max(damping / 5, 1e-6)
+            gradient, information = _slope(z, data, geometry, free)
+            if gain < ENOUGH:
+                break
+        else:
+            damping = max(damping * 8, 1e-3)
+            if damping > 1e6:
+                break
+    return Peak(z, level, np.linalg.inv(information))
+
+
+def _slope(
+    z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray]:
+    """Gradient of the log posterior and its expected information, over the free coordinates."""
+    means = np.empty(data.pixel_count.shape)
+
+    def logs(at: FloatArray) -> FloatArray:
+        fill_expected(parameters_at(at, geometry), data, geometry, means)
+        return np.log(means)
+
+    def prior(at: FloatArray) -> float:
+        return float(log_prior(at, parameters_at(at, geometry), geometry))
+
+    here, known = logs(z), prior(z)
+    residual = data.intensity_sum / np.exp(here) - data.pixel_count
+    slopes = np.empty((free.size, here.size))
+    gradient, curvature = np.empty(free.size), np.empty(free.size)
+    for k, i in enumerate(free):
+        step = STEP * (1.0 / max(geometry.range_middle, 1.0) if i == 0 else 1.0)
+        ahead, behind = z.copy(), z.copy()
+        ahead[i] += step
+        behind[i] -= step
+        slopes[k] = ((logs(ahead) - logs(behind)) / (2 * step)).ravel()
+        after, before = prior(ahead), prior(behind)
+        both = np.isfinite(after) and np.isfinite(before)
+        gradient[k] = (after - before) / (2 * step) if both else 0.0
+        curvature[k] = max((2 * known - after - before) / step**2, 0.0) if both else 0.0
+    gradient += slopes @ residual.ravel() / geometry.noise_factor
+    weighted = slopes * data.pixel_count.ravel()
+    information = weighted @ slopes.T / geometry.noise_factor
+    return gradient, information + np.diag(curvature + 1e-6)

@@ -1,0 +1,562 @@
+"""The rendered wavelength: what a sonar image shows of one ripple, and the likelihood of a clip.
+
+One wavelength of sea floor is cut into facets. Each has its local grazing angle, its area, its place
+in the image (an echo is placed by its slant range as if the floor were flat, so that crests lean
+towards the sonar) and is lit or in shadow by line of sight. Their power is summed in bins of image
+phase and blurred. This holds for every crest profile and every scattering law; detection, estimate,
+modelled image and ripple removal use it. The model of Zare and Cobb (2013, equations 3 and 4) is
+rendered by the same loop where a survey asks for it.
+
+The intensity of fully developed speckle is exponential about its mean m = g P + n0, with P the
+pulse, g the gain of a few blocks of range and n0 the noise floor. A clip enters through the number
+n of pixels and the sum of intensity in each bin of a phase-range histogram:
+
+    log L = - sum n (log m + mean intensity / m) / F
+
+with F the variance of the speckle over that of independent pixels.
+
+All compiled functions that call each other are in this file: numba keeps compiled code on disk and
+notices a change only in the file of the function that it compiled.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Facets a bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
+FACETS = 4
+# Nodes of the scattering law over the sine of the local grazing angle.
+NODES = 512
+# Largest second harmonics of the crest profile, over A_H: at 0.25 in phase with the crest it is the
+# peaked profile 2((1 + sin)/2)^2 - 1; beyond 0.3 a second crest grows in the trough.
+MOST_PEAKED, LEAST_PEAKED, MOST_ASYMMETRIC = 0.3, -0.05, 0.3
+# Bounds of the scattering law sin^n exp(-c (theta - pi/2)^2): n = 0, c = 3/pi is Zare and Cobb's,
+# n = 2, c = 0 Lambert's.
+MOST_EXPONENT, MOST_CONCENTRATION = 4.0, 2.0
+# Logits of n / 4 and c / 2 are Gaussian (mean, sd): 90 % of n within 0.3 and 3.4 about 1.5, of c
+# within 0.06 and 1.5 about 0.5. Real sand is near Lambert's law at 5 to 40 degrees (Boehme 1985).
+EXPONENT_LOGIT, CONCENTRATION_LOGIT = (-0.5, 1.3), (-1.2, 1.4)
+# Logit of the peakedness within its bounds, and standard deviation of the asymmetry's.
+PEAKED_LOGIT, ASYMMETRY_SD = (-1.3, 0.8), 0.7
+# Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and
+# the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
+# taken out under Lambert's law.
+NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
+# Standard deviation of the log of the blur about its expectation.
+BLUR_SD = 0.6
+LINE_OF_SIGHT, CREST = 1, 2
+
+
+class Parameters(NamedTuple):
+    """What one look at a clip is modelled by.
+
+    Attributes
+    ----------
+    wave_offset : float
+        Wave number along the look less that of the histogram, cycles/m.
+    phase : float
+        Of the ripple at the clip's centre less that of the histogram, rad.
+    height : float
+        A_H, half of crest to trough, m.
+    exponent, concentration : float
+        n and c of the scattering law, intensity sin^n(theta) exp(-c (theta - pi/2)^2).
+    peakedness, asymmetry : float
+        p and q of the profile sin(x) - p cos(2x) - q sin(2x), scaled to a half range of 1.
+    noise, noise_slope : float
+        Noise floor over the clip's mean intensity at mean range, and its power of range.
+    blur : float
+        Standard deviation of the image's blur along the look, cycles.
+    altitude_scale : float
+        True altitude over that of the navigation.
+    """
+
+    wave_offset: float
+    phase: float
+    height: float
+    exponent: float
+    concentration: float
+    peakedness: float
+    asymmetry: float
+    noise: float
+    noise_slope: float
+    blur: float
+    altitude_scale: float
+
+
+class Histogram(NamedTuple):
+    """A clip by phase and range: arrays (blocks, bins) or (blocks,).
+
+    Attributes
+    ----------
+    pixel_count, intensity_sum : ndarray (blocks, bins)
+        Pixels that are not saturated, and sum of intensity over the clip's local mean.
+    phase_offset : ndarray (blocks, bins)
+        Mean phase of a bin's pixels from its middle, cycles.
+    place : ndarray (blocks,)
+        Mean place along the look from the clip's centre, m.
+    ground_range, altitude : ndarray (blocks,)
+        m.
+    trend : ndarray (blocks,)
+        Local mean intensity over the clip's.
+    group : ndarray of int (blocks,)
+        Consecutive blocks that share a gain, numbered from 0.
+    """
+
+    pixel_count: FloatArray
+    intensity_sum: FloatArray
+    phase_offset: FloatArray
+    place: FloatArray
+    ground_range: FloatArray
+    altitude: FloatArray
+    trend: FloatArray
+    group: NDArray[np.int64]
+
+
+class Geometry(NamedTuple):
+    """How a histogram is modelled.
+
+    Attributes
+    ----------
+    along, across : float
+        Wave numbers of the histogram along and across the look, cycles/m; the first above 0.
+    range_middle, altitude_middle : float
+        m.
+    altitude_sd : float
+        Standard deviation of the navigation's altitude, m, besides what the ripples under the sonar
+        make of it.
+    expected_blur : float
+        Cycles.
+    follows_image : bool
+        Whether the histogram's phase is that of the image's fundamental (a phase field), not the
+        ripple's.
+    published : bool
+        Whether the wavelength is that of Zare and Cobb, equation 3.
+    shadow : int
+        LINE_OF_SIGHT or CREST, 0 where no shadow can fall.
+    noise_factor : float
+        Variance of the speckle over that of independent pixels.
+    fixed : ndarray (4,)
+        Exponent, concentration, peakedness and asymmetry where not estimated; NaN where they are.
+    height_mean, height_sd, height_least, height_most : float
+        Truncated Gaussian prior of A_H (ZC 7 and 9), m.
+    frequency_mean, frequency_sd : float
+        Gaussian prior of f (ZC 8), cycles/m.
+    steepness_middle, steepness_sd : float
+        Log-normal prior of crest to trough over wavelength: its median and the standard deviation
+        of its log; infinite for none.
+    """
+
+    along: float
+    across: float
+    range_middle: float
+    altitude_middle: float
+    altitude_sd: float
+    expected_blur: float
+    follows_image: bool
+    published: bool
+    shadow: int
+    noise_factor: float
+    fixed: FloatArray
+    height_mean: float
+    height_sd: float
+    height_least: float
+    height_most: float
+    frequency_mean: float
+    frequency_sd: float
+    steepness_middle: float
+    steepness_sd: float
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def law_intensity(sine, exponent, concentration):  # type: ignore[no-untyped-def]
+    """Scattered intensity at a local grazing angle given by its sine."""
+    if sine <= 0.0:
+        return 0.0
+    offset = np.arcsin(min(sine, 1.0)) - 0.5 * np.pi
+    return np.exp(exponent * np.log(sine) - concentration * offset * offset)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def contrast_per_slope(exponent, concentration, tangent):  # type: ignore[no-untyped-def]
+    """Relative change of intensity with slope at a grazing angle, to first order: law and lean."""
+    grazing = np.arctan(tangent)
+    law = exponent / tangent - 2.0 * concentration * (grazing - 0.5 * np.pi)
+    return law + tangent
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
+    """Parameters at sampling coordinates: standard Gaussian under the prior, but for the first three.
+
+    The third is the log of the contrast that A_H makes to first order, which an image tells, not of
+    A_H, which it tells by way of the law.
+    """
+    fixed = geometry.fixed
+    exponent, concentration, peakedness, asymmetry = fixed[0], fixed[1], fixed[2], fixed[3]
+    if np.isnan(exponent):
+        logit = EXPONENT_LOGIT[0] + EXPONENT_LOGIT[1] * z[3]
+        exponent = MOST_EXPONENT / (1.0 + np.exp(-logit))
+    if np.isnan(concentration):
+        logit = CONCENTRATION_LOGIT[0] + CONCENTRATION_LOGIT[1] * z[4]
+        concentration = MOST_CONCENTRATION / (1.0 + np.exp(-logit))
+    if np.isnan(peakedness):
+        logit = PEAKED_LOGIT[0] + PEAKED_LOGIT[1] * z[5]
+        peakedness = LEAST_PEAKED + (MOST_PEAKED - LEAST_PEAKED) / (1.0 + np.exp(-logit))
+    if np.isnan(asymmetry):
+        asymmetry = MOST_ASYMMETRIC * np.tanh(ASYMMETRY_SD * z[6])
+    tangent = geometry.altitude_middle / geometry.range_middle
+    height = np.exp(z[2]) / contrast_per_slope(exponent, concentration, tangent)
+    # the sonar's altitude is measured over crest or trough
+    sd = np.sqrt(geometry.altitude_sd**2 + 0.5 * height * height)
+    return Parameters(
+        z[0],
+        z[1],
+        height,
+        exponent,
+        concentration,
+        peakedness,
+        asymmetry,
+        np.exp(NOISE_LOG[0] + NOISE_LOG[1] * z[7]),
+        NOISE_SLOPE[0] + NOISE_SLOPE[1] * z[8],
+        geometry.expected_blur * np.exp(BLUR_SD * z[9]),
+        max(1.0 + z[10] * sd / geometry.altitude_middle, 0.1),
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
+    """Log prior density of the sampling coordinates, up to a constant."""
+    height = ripple.height
+    if not geometry.height_least <= height <= geometry.height_most:
+        return -np.inf
+    along = geometry.along + ripple.wave_offset
+    frequency = np.hypot(along, geometry.across)
+    # sand stands no steeper than 45 degrees
+    if along <= 0.0 or 2.0 * np.pi * frequency * height > 1.0:
+        return -np.inf
+    value = np.log(height)  # of the change from A_H to the log of contrast
+    value -= 0.5 * ((height - geometry.height_mean) / geometry.height_sd) ** 2
+    value -= 0.5 * ((frequency - geometry.frequency_mean) / geometry.frequency_sd) ** 2
+    if geometry.steepness_sd < np.inf:
+        ratio = np.log(2.0 * height * frequency / geometry.steepness_middle)
+        value -= np.log(height) + 0.5 * (ratio / geometry.steepness_sd) ** 2
+    for i in range(3, z.size):
+        value -= 0.5 * z[i] * z[i]
+    if geometry.follows_image:  # the field has taken up phase and wave number
+        value -= 0.5 * (z[1] / 0.1) ** 2
+        value -= 0.5 * (z[0] * geometry.range_middle / 0.1) ** 2
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_profile(peakedness, asymmetry, heights, slopes):  # type: ignore[no-untyped-def]
+    """Crest profile over A_H, of mean 0, and its derivative by phase, at the middles of facets."""
+    n = heights.size
+    least, most, mean = np.inf, -np.inf, 0.0
+    for i in range(n):
+        x = 2.0 * np.pi * (i + 0.5) / n
+        c, s = np.cos(x), np.sin(x)
+        c2, s2 = c * c - s * s, 2.0 * s * c
+        heights[i] = s - peakedness * c2 - asymmetry * s2
+        slopes[i] = c + 2.0 * peakedness * s2 - 2.0 * asymmetry * c2
+        least, most = min(least, heights[i]), max(most, heights[i])
+        mean += heights[i] / n
+    scale = 2.0 / (most - least)
+    for i in range(n):
+        heights[i] = (heights[i] - mean) * scale
+        slopes[i] *= scale
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_lit(elevation, growth, lit):  # type: ignore[no-untyped-def]
+    """Share of each facet that the sonar sees: what stands out over all that is nearer.
+
+    `elevation` is height over the sonar of facets along the look; times a power of `growth` it
+    orders them by the angle at which they are seen. A wavelength before suffices. Edges of shadow
+    are told to a fraction of a facet.
+    """
+    n = elevation.size
+    lit[:] = 0.0
+    factor, highest, before, step_before = 1.0, -np.inf, -np.inf, 0.0
+    for k in range(2 * n + 1):
+        i = k if k < n else (k - n if k < 2 * n else 0)
+        last = i - 1 if i > 0 else n - 1
+        here = elevation[i] * factor
+        factor *= growth
+        step = here - before
+        if here > highest:
+            part = (here - highest) / step if k > 0 else 1.0
+            if n <= k < 2 * n:
+                lit[i] = min(1.0, 0.5 + part)
+            if k > n and 0.5 < part < 1.0:
+                lit[last] += part - 0.5
+        elif k > n and step_before > 0.0 and before >= highest:
+            # the highest point lies within half a facet of the one before
+            lit[last] *= 0.5 + 0.5 * (step_before + step) / (step_before - step)
+        highest = max(highest, here)
+        before, step_before = here, step
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_crest_rule(height, unit, wave, ground_range, altitude, lit):  # type: ignore[no-untyped-def]
+    """Share of each facet in light by the published rule (ZC 4): a ray over the preceding crest."""
+    n = lit.size
+    before = 0.0
+    for k in range(n + 1):  # from crest to crest
+        past = (k + 0.5) / n
+        i = (k + n // 4) % n
+        distance = past / wave
+        gap = ground_range - distance
+        margin = -1.0
+        if gap > 0.0:
+            margin = height * (1.0 - unit[i]) - altitude * distance / gap
+        step = abs(margin - before) if k > 0 else 1.0
+        if k < n:
+            lit[i] = min(max(0.5 - margin / max(step, 1e-12), 0.0), 1.0)
+        before = margin
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def deposit(pulse, place, power):  # type: ignore[no-untyped-def]
+    """Add power to the two bins of phase about a place (cycles)."""
+    bins = pulse.size
+    x = (place - np.floor(place)) * bins + (bins - 0.5)
+    low = int(x)
+    share = x - low
+    low -= bins if low >= bins else 0
+    pulse[low] += power * (1.0 - share)
+    pulse[low + 1 if low + 1 < bins else 0] += power * share
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def value_at(pulse, place):  # type: ignore[no-untyped-def]
+    """Pulse between bins, at a place (cycles)."""
+    bins = pulse.size
+    x = (place - np.floor(place)) * bins + (bins - 0.5)
+    low = int(x)
+    share = x - low
+    low -= bins if low >= bins else 0
+    return pulse[low] + share * (pulse[low + 1 if low + 1 < bins else 0] - pulse[low])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_law(exponent, concentration, law):  # type: ignore[no-untyped-def]
+    """Scattered intensity at NODES sines of the local grazing angle, 0 to 1."""
+    for i in range(NODES):
+        law[i] = law_intensity(i / (NODES - 1.0), exponent, concentration)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_facets(ripple, wave, across, facets):  # type: ignore[no-untyped-def]
+    """Fill heights (m), slopes along the look and areas of a wavelength's facets, rows 0 to 2."""
+    fill_profile(ripple.peakedness, ripple.asymmetry, facets[0], facets[1])
+    steepness = 2.0 * np.pi * ripple.height
+    for i in range(facets.shape[1]):
+        along, beside = steepness * wave * facets[1, i], steepness * across * facets[1, i]
+        facets[0, i] *= ripple.height
+        facets[1, i] = along
+        facets[2, i] = np.sqrt(1.0 + along * along + beside * beside)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_rendered(wave, tangent, ground_range, shadow, facets, law, pulse):  # type: ignore[no-untyped-def]
+    """Sum a wavelength's power in bins of image phase, for a place at a ground range.
+
+    `facets` as :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
+    """
+    n = facets.shape[1]
+    heights, slopes, areas, elevation, lit = facets[0], facets[1], facets[2], facets[3], facets[4]
+    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+    sine = tangent * cosine
+    if shadow:
+        for i in range(n):
+            elevation[i] = heights[i] - tangent * ground_range
+        fill_lit(elevation, np.exp(-1.0 / (wave * n * ground_range)), lit)
+    for i in range(n):
+        h = heights[i]
+        # the ray's own grazing angle is less by h / range
+        grazing = (sine + (slopes[i] - h / ground_range) * cosine) / areas[i]
+        if grazing <= 0.0 or (shadow and lit[i] <= 0.0):
+            continue
+        x = min(grazing, 1.0) * (NODES - 1)
+        low = min(int(x), NODES - 2)
+        power = areas[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
+        if shadow:
+            power *= lit[i]
+        # r' = sqrt(r^2 + (A - h)^2 - A^2) to second order
+        lean = h * tangent - h * h * (1.0 + tangent * tangent) / (2.0 * ground_range)
+        deposit(pulse, (i + 0.5) / n - lean * wave, power)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def published_amplitude(grazing, concentration):  # type: ignore[no-untyped-def]
+    """Gaussian amplitude about normal incidence (ZC 3.2.3), up to a factor."""
+    offset = grazing - 0.5 * np.pi
+    return np.exp(-0.5 * concentration * offset * offset)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_published(ripple, wave, tangent, ground_range, shadow, facets, pulse):  # type: ignore[no-untyped-def]
+    """Sum the published intensity a*^2 (ZC 3 and 4) in bins of phase: no area and no lean."""
+    n = facets.shape[1]
+    unit, derivative, elevation, lit = facets[0], facets[1], facets[3], facets[4]
+    fill_profile(0.0, 0.0, unit, derivative)
+    altitude = tangent * ground_range
+    lit[:] = 1.0
+    if shadow == CREST:
+        fill_crest_rule(ripple.height, unit, wave, ground_range, altitude, lit)
+    elif shadow == LINE_OF_SIGHT:
+        for i in range(n):
+            elevation[i] = ripple.height * unit[i] - altitude
+        fill_lit(elevation, np.exp(-1.0 / (wave * n * ground_range)), lit)
+    grazing, tilt = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
+    c = ripple.concentration
+    flat = published_amplitude(grazing, c)
+    span = published_amplitude(grazing + tilt, c) - published_amplitude(grazing - tilt, c)
+    for i in range(n):
+        amplitude = max(flat + 0.5 * span * derivative[i], 0.0)
+        deposit(pulse, (i + 0.5) / n, lit[i] * amplitude * amplitude)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_blur(width, kernel):  # type: ignore[no-untyped-def]
+    """Gaussian of a standard deviation in bins, one side with its middle; return how many count."""
+    # two linear interpolations have a variance of a sixth of a bin each
+    variance = max(width * width - 1.0 / 3.0, 1e-3)
+    reach = min(int(4.0 * np.sqrt(variance)) + 1, kernel.size - 1)
+    total = 0.0
+    for i in range(reach + 1):
+        kernel[i] = np.exp(-0.5 * i * i / variance)
+        total += kernel[i] if i == 0 else 2.0 * kernel[i]
+    for i in range(reach + 1):
+        kernel[i] /= total
+    return reach
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
+    """Blur a pulse along phase and scale it to a mean of 1; return where its fundamental peaks."""
+    bins = pulse.size
+    mean = 0.0
+    for i in range(bins):
+        mean += pulse[i] / bins
+    scale = 1.0 / max(mean, 1e-300)
+    cosine, sine = 0.0, 0.0
+    for i in range(bins):
+        value = pulse[i] * kernel[0]
+        for k in range(1, reach + 1):
+            high = i + k if i + k < bins else i + k - bins
+            value += kernel[k] * (pulse[high] + pulse[i - k])
+        blurred[i] = value * scale
+        angle = 2.0 * np.pi * (i + 0.5) / bins
+        cosine += blurred[i] * np.cos(angle)
+        sine += blurred[i] * np.sin(angle)
+    return np.arctan2(sine, cosine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_pulses(ripple, data, geometry, pulses, lags):  # type: ignore[no-untyped-def]
+    """Pulse of each block over ripple phase (blocks, bins), of mean 1, and its fundamental's lag.
+
+    The lag is the ripple's phase at which the fundamental peaks, rad: 0 to first order.
+    """
+    blocks, bins = data.pixel_count.shape
+    facets = np.empty((5, FACETS * bins))
+    law, pulse, kernel = np.empty(NODES), np.empty(bins), np.empty(bins)
+    wave = geometry.along + ripple.wave_offset
+    reach = fill_blur(ripple.blur * bins, kernel)
+    if not geometry.published:
+        fill_law(ripple.exponent, ripple.concentration, law)
+        fill_facets(ripple, wave, geometry.across, facets)
+    for b in range(blocks):
+        distance = data.ground_range[b]
+        tangent = data.altitude[b] * ripple.altitude_scale / distance
+        pulse[:] = 0.0
+        if geometry.published:
+            fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, pulse)
+        else:
+            fill_rendered(wave, tangent, distance, geometry.shadow > 0, facets, law, pulse)
+        lags[b] = fill_blurred(pulse, kernel, reach, pulses[b])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
+    """Most likely log gain of blocks that share one, by Fisher scoring, and its information."""
+    counts, sums = data.pixel_count, data.intensity_sum
+    log_gain, information = 0.0, 1.0
+    for _ in range(8):
+        score, information = 0.0, 1e-9
+        gain = np.exp(log_gain)
+        for b in range(first, last):
+            for i in range(pulses.shape[1]):
+                over = 1.0 / (gain * pulses[b, i] + floors[b])
+                share = 1.0 - floors[b] * over
+                score += share * (sums[b, i] * over - counts[b, i])
+                information += share * share * counts[b, i]
+        step = min(max(score / information, -1.0), 1.0)
+        log_gain += step
+        if abs(step) < 1e-6:
+            break
+    return log_gain, information
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_expected(ripple, data, geometry, means):  # type: ignore[no-untyped-def]
+    """Expected intensity of each bin, (blocks, bins); return the gains' part of the likelihood."""
+    blocks, bins = means.shape
+    pulses, lags = np.empty((blocks, bins)), np.empty(blocks)
+    fill_pulses(ripple, data, geometry, pulses, lags)
+    floors = np.empty(blocks)
+    offsets = data.phase_offset
+    for b in range(blocks):
+        shift = (ripple.phase + (lags[b] if geometry.follows_image else 0.0)) / (2.0 * np.pi)
+        shift += ripple.wave_offset * data.place[b]
+        for i in range(bins):
+            place = (i + 0.5) / bins + offsets[b, i] + shift
+            means[b, i] = value_at(pulses[b], place)
+        ratio = data.ground_range[b] / geometry.range_middle
+        floors[b] = ripple.noise * ratio**ripple.noise_slope / data.trend[b]
+    value, first = 0.0, 0
+    for last in range(1, blocks + 1):
+        if last < blocks and data.group[last] == data.group[first]:
+            continue
+        log_gain, information = _gain(first, last, data, means, floors)
+        gain = np.exp(log_gain)
+        for b in range(first, last):
+            for i in range(bins):
+                means[b, i] = gain * means[b, i] + floors[b]
+        value -= 0.5 * np.log(information)
+        first = last
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
+    """Log posterior density at sampling coordinates, up to a constant."""
+    ripple = parameters_at(z, geometry)
+    value = log_prior(z, ripple, geometry)
+    if not value > -np.inf:
+        return -np.inf
+    means = np.empty(data.pixel_count.shape)
+    value += fill_expected(ripple, data, geometry, means)
+    level = 0.0
+    counts, sums = data.pixel_count, data.intensity_sum
+    for b in range(means.shape[0]):
+        for i in range(means.shape[1]):
+            level -= counts[b, i] * np.log(means[b, i]) + sums[b, i] / means[b, i]
+    return value + level / geometry.noise_factor
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_posteriors(points, data, geometry):  # type: ignore[no-untyped-def]
+    """Log posterior density of points (n, coordinates)."""
+    values = np.empty(points.shape[0])
+    for i in range(values.size):
+        values[i] = log_posterior(points[i], data, geometry)
+    return values
