@@ -9,7 +9,10 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import Clip
-from sasmap.simulate.image import record, track_line
+from sasmap.simulate.geometry import track_line
+from sasmap.simulate.image import record
+from sasmap.simulate.laws import Law, PowerLaw
+from sasmap.simulate.profiles import CrestProfile
 from sasmap.simulate.scene import Scene
 from sasmap.simulate.seafloor import SeaFloor
 
@@ -81,6 +84,105 @@ def simulate_clip(scene: Scene, rng: np.random.Generator, which: int = 0) -> Sim
     ground_range = np.where(view.ground_range > 0, view.ground_range, np.nan)
     clip = Clip(pixels, x, y, ground_range, view.altitude, np.full(shape, look), size)
     return SimulatedClip(clip, *_truth(scene, floor, x, y))
+
+
+def coherent_cell(
+    rng: np.random.Generator,
+    *,
+    frequency: float,
+    height: float,
+    azimuth_off_look: float = 0.0,
+    phase: float | None = None,
+    near: float = 20.0,
+    altitude: float = 5.0,
+    pixel_size: float = 0.05,
+    shape: tuple[int, int] = (200, 200),
+    law: Law | PowerLaw = "lambert",
+    profile: CrestProfile = "sine",
+    asymmetry: float = 0.35,
+    wander: float = 0.0,
+    wander_length: float = 10.0,
+    forks: int = 0,
+    noise: float | None = -25.0,
+    nu: float = float("inf"),
+    range_flattened: bool = False,
+    blur: float = 0.5,
+) -> SimulatedClip:
+    """Simulate one cell by coherent facets, looked at eastwards from a straight track.
+
+    Parameters
+    ----------
+    rng : Generator
+        Of the sea floor's wander, phase and forks, of speckle and of noise.
+    frequency, height : float
+        f (cycles/m) and A_H (m); A_H of 0 for a flat floor.
+    azimuth_off_look : float
+        Crest normal against the look, degrees clockwise.
+    phase : float, optional
+        At the cell's centre, rad; default random.
+    near : float
+        Ground range of the first column, m.
+    altitude, pixel_size : float
+        m.
+    shape : tuple of int
+        Rows and columns.
+    law : str or PowerLaw
+        As of :func:`sasmap.simulate.laws.backscatter`.
+    profile : {"sine", "stokes", "peaked", "asymmetric"}
+    asymmetry : float
+    wander, wander_length : float
+        Rms of the phase's wander, rad, and its correlation length, m.
+    forks : int
+        How many, at random places.
+    noise : float or None
+        Receiver's, dB of the mean intensity of flat floor at the cell's centre.
+    nu : float
+        Shape of the sediment's texture; infinite for none.
+    range_flattened : bool
+    blur : float
+        Standard deviation of the point spread function, pixels.
+
+    Returns
+    -------
+    SimulatedClip
+    """
+    size = (shape[1] * pixel_size, shape[0] * pixel_size)
+    patch = {
+        "frequency": frequency,
+        "height": height,
+        "azimuth": 90.0 + azimuth_off_look,
+        "phase": float(rng.uniform(0, 2 * np.pi)) if phase is None else phase,
+        "profile": profile,
+        "asymmetry": asymmetry,
+        "wander": wander,
+        "wander_length": wander_length,
+        "forks": [tuple(rng.uniform(0, 1, 2) * size) for _ in range(forks)],
+    }
+    east = {
+        "name": "east",
+        "heading": 0.0,
+        "distance": near + 0.5 * size[0] - 0.5 * pixel_size,
+        "altitude": altitude,
+        "noise": noise,
+        "dtype": "float32",
+        "range_flattened": range_flattened,
+        "blur": blur,
+    }
+    scene = Scene.model_validate(
+        {
+            "name": "cell",
+            "seed": int(rng.integers(2**62)),
+            "origin": (0.0, 0.0),
+            "size": size,
+            "pixel_size": pixel_size,
+            "physics": "coherent",
+            "law": law,
+            "sediments": [{"name": "sand", "nu": nu}],
+            "ripples": [patch] if height > 0 else [],
+            "passes": [east],
+        }
+    )
+    return simulate_clip(scene, rng)
 
 
 def _truth(

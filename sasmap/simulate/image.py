@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
@@ -16,6 +14,8 @@ from sasmap.ripples.scattering import (
     shadow_crest_rule,
     steepest,
 )
+from sasmap.simulate.coherent import coherent_amplitude
+from sasmap.simulate.geometry import Line, View, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
 
@@ -28,67 +28,6 @@ SIGHT_REACH = 40.0
 NODATA = {"uint8": 0, "uint16": 0, "float32": np.nan}
 # Mean flat amplitude as a fraction of the largest value, so that bright facets do not saturate.
 FILL = {"uint8": 255 / 6, "uint16": 65535 / 12, "float32": 1.0}
-
-
-class View(NamedTuple):
-    """Where a pass sees map points from; arrays of the points' shape, m."""
-
-    along: FloatArray
-    ground_range: FloatArray
-    altitude: FloatArray
-
-
-class Line(NamedTuple):
-    """A pass's straight track, in map coordinates.
-
-    Attributes
-    ----------
-    start : ndarray (2,)
-        Map position of its first ping.
-    direction, look : ndarray (2,)
-        Unit vectors (east, north) along the track and from it to the sea floor.
-    length : float
-        m.
-    altitude : tuple of float
-        At start and end, m.
-    """
-
-    start: FloatArray
-    direction: FloatArray
-    look: FloatArray
-    length: float
-    altitude: tuple[float, float]
-
-    def see(self, x: FloatArray, y: FloatArray) -> View:
-        """Return along-track distance, ground range and altitude for map points."""
-        dx, dy = x - self.start[0], y - self.start[1]
-        along = dx * self.direction[0] + dy * self.direction[1]
-        return View(along, dx * self.look[0] + dy * self.look[1], self.altitude_at(along))
-
-    def altitude_at(self, along: FloatArray) -> FloatArray:
-        """Altitude at along-track distances, m."""
-        first, last = self.altitude
-        return first + (last - first) * np.clip(along / self.length, 0, 1)
-
-    def point(self, along: FloatArray, ground_range: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return map points from along-track distance and ground range."""
-        return (
-            self.start[0] + along * self.direction[0] + ground_range * self.look[0],
-            self.start[1] + along * self.direction[1] + ground_range * self.look[1],
-        )
-
-
-def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
-    """Lay a pass's track so that the scene lies abeam of it."""
-    heading = np.radians(scene_pass.heading)
-    direction = np.array([np.sin(heading), np.cos(heading)])
-    starboard = np.array([direction[1], -direction[0]])
-    look = starboard if scene_pass.side == "starboard" else -starboard
-    half = 0.5 * (abs(direction[0]) * scene.size[0] + abs(direction[1]) * scene.size[1]) + 5.0
-    abeam = np.array(scene.centre) - scene_pass.distance * look
-    altitude = scene_pass.altitude
-    both = altitude if isinstance(altitude, tuple) else (altitude, altitude)
-    return Line(abeam - half * direction, direction, look, 2 * half, both)
 
 
 def record(
@@ -111,6 +50,7 @@ def record(
     shape : tuple of int
         Rows and columns.
     rng : Generator
+        With coherent physics tiles of one pass meet without a seam if each is given an equal one.
 
     Returns
     -------
@@ -122,6 +62,7 @@ def record(
     x = transform.c + transform.a * column + transform.b * row
     y = transform.f + transform.d * column + transform.e * row
     view = line.see(x, y)
+    shown = view.ground_range
     if scene_pass.range == "slant":
         squared = view.ground_range**2 - view.altitude**2
         wet = (squared > 0) & (view.ground_range > 0)
@@ -129,15 +70,19 @@ def record(
         x, y = line.point(view.along, view.ground_range)
     seen = _covered(scene, scene_pass, x, y) & (view.ground_range > 0)
     amplitude = np.full(shape, np.nan)
+    if scene.physics == "coherent":
+        key = int(rng.integers(2**63))
+        amplitude[seen] = coherent_amplitude(
+            scene, floor, scene_pass, view.along[seen], shown[seen], key
+        )
+        return _quantised(amplitude, scene_pass)
     if seen.any():
         points = x[seen], y[seen], View(*(v[seen] for v in view))
-        amplitude[seen] = scattering(scene, floor, line, *points, _pixel(scene, scene_pass))
+        amplitude[seen] = scattering(
+            scene, floor, line, *points, scene_pass.pixel_size or scene.pixel_size
+        )
     field = _speckle(scene, floor, scene_pass, x, y, amplitude, rng)
     return _quantised(field, scene_pass)
-
-
-def _pixel(scene: Scene, scene_pass: ScenePass) -> float:
-    return scene_pass.pixel_size or scene.pixel_size
 
 
 def _covered(
@@ -188,7 +133,8 @@ def scattering(
     result = cross_section(grazing)
     for k, patch in enumerate(scene.ripples):
         on = (waves.patch == k) & (waves.height > 0)
-        if on.any():
+        # a scene of published physics has no asymmetric ripples
+        if on.any() and patch.profile != "asymmetric":
             full = 2 * np.pi * np.hypot(waves.east[on], waves.north[on]) * waves.height[on]
             slope = profile_slope(phase[on], full, patch.profile)
             extreme = steepest(full, patch.profile)

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import pyproj
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    StringConstraints,
+    field_validator,
+    model_validator,
+)
 
-from sasmap.config import Name, parse_model
-from sasmap.yamlfile import load_yaml
+from sasmap.simulate.laws import Law, PowerLaw
+from sasmap.simulate.profiles import CrestProfile
 
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 Point = tuple[FiniteFloat, FiniteFloat]
 Polygon = Annotated[tuple[Point, ...], Field(min_length=3)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+LawChoice = Law | PowerLaw
 
 
 class _Block(BaseModel):
@@ -25,13 +36,18 @@ class Sediment(_Block):
     """A sediment: its backscatter and speckle law, and where it lies."""
 
     name: Name
-    level: Positive = Field(1.0, description="mean intensity, relative")
+    level: Positive = Field(
+        1.0, description="mean intensity, relative; between unlike laws, at a grazing of 30 degrees"
+    )
     nu: Annotated[float, Field(gt=0)] = Field(
         float("inf"), description="texture shape; infinite: no texture"
     )
     kappa: NotNegative = Field(0.0, description="steady over random amplitude, delta / a")
     polygon: Polygon | None = Field(
         None, description="m east and north of the origin; none: everywhere"
+    )
+    law: LawChoice | None = Field(
+        None, description="scattering law, coherent physics only; default the scene's"
     )
 
 
@@ -42,7 +58,10 @@ class RipplePatch(_Block):
     height: Positive = Field(description="A_H, m")
     azimuth: FiniteFloat = Field(description="crest normal, degrees clockwise from grid north")
     phase: FiniteFloat = Field(0.0, description="rad, at the patch's reference, the scene's centre")
-    profile: Literal["sine", "stokes", "peaked"] = "sine"
+    profile: CrestProfile = "sine"
+    asymmetry: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.35, description="a of the asymmetric profile, sin(p + a sin p)"
+    )
     wander: NotNegative = Field(0.0, description="rms of the phase's wander, rad")
     wander_length: Positive = Field(10.0, description="correlation length of the wander, m")
     forks: tuple[Point, ...] = Field(
@@ -69,6 +88,12 @@ class ScenePass(_Block):
     range: Literal["ground", "slant"] = "ground"
     gain: Positive | None = Field(None, description="pixel value of the mean flat amplitude")
     correlation: NotNegative = Field(0.0, description="speckle correlation length, pixels")
+    blur: Annotated[FiniteFloat, Field(ge=0.3, le=5)] = Field(
+        0.5, description="standard deviation of the coherent point spread function, pixels"
+    )
+    range_flattened: bool = Field(
+        False, description="divided by the flat floor's level over range; coherent physics only"
+    )
     noise: FiniteFloat | None = Field(-25.0, description="receiver noise, dB of the mean intensity")
     dtype: Literal["uint8", "uint16", "float32"] = "uint8"
     positions: Literal["projected", "geographic"] = "projected"
@@ -85,6 +110,10 @@ class Scene(_Block):
     size: tuple[Positive, Positive] = Field(description="m east and north")
     pixel_size: Positive
     window: Annotated[int, Field(ge=3, le=10_000)] = 500
+    physics: Literal["published", "coherent"] = Field(
+        "published", description="published: a* times speckle; coherent: facets that scatter"
+    )
+    law: LawChoice = Field("lambert", description="scattering law, coherent physics only")
     shadow: Literal["line-of-sight", "crest"] = "line-of-sight"
     sediments: Annotated[tuple[Sediment, ...], Field(min_length=1)] = Field(
         description="later ones lie on earlier ones; the first lies everywhere"
@@ -119,6 +148,7 @@ class Scene(_Block):
             raise ValueError("sediments: expected the first one without a polygon, everywhere")
         if len(self.sediments) > 250:
             raise ValueError("sediments: expected at most 250")
+        _check_physics(self)
         return self
 
     @property
@@ -127,21 +157,22 @@ class Scene(_Block):
         return self.origin[0] + self.size[0] / 2, self.origin[1] + self.size[1] / 2
 
 
-def load_scene(path: str | Path) -> Scene:
-    """Read and check a scene file.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    InputError
-        With one line for every fault found.
-    """
-    path = Path(path)
-    return parse_model(Scene, load_yaml(path), path)
+def _check_physics(scene: Scene) -> None:
+    """Refuse what the scene's physics would leave unused."""
+    coherent = {
+        "law": "law" in scene.model_fields_set,
+        "sediments.law": any(s.law is not None for s in scene.sediments),
+        "ripples.profile": any(p.profile == "asymmetric" for p in scene.ripples),
+        "passes.range_flattened": any(p.range_flattened for p in scene.passes),
+        "passes.blur": any("blur" in p.model_fields_set for p in scene.passes),
+    }
+    published = {
+        "shadow": scene.shadow == "crest",
+        "sediments.kappa": any(s.kappa > 0 for s in scene.sediments),
+        "passes.correlation": any(p.correlation > 0 for p in scene.passes),
+    }
+    wrong = coherent if scene.physics == "published" else published
+    other = "coherent" if scene.physics == "published" else "published"
+    for key, used in wrong.items():
+        if used:
+            raise ValueError(f"{key}: this value needs physics: {other}")

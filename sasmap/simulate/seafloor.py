@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from sasmap.ripples.scattering import profile_height
+from sasmap.simulate.profiles import crest
 from sasmap.simulate.scene import RipplePatch, Scene
 
 FloatArray = NDArray[np.float64]
@@ -152,6 +152,16 @@ class SeaFloor:
             height = height * square / soft
         return phase, east, north, height
 
+    @property
+    def relief(self) -> float:
+        """No point is farther from the mean sea floor than this, m."""
+        highest = 0.0
+        for patch in self._scene.ripples:
+            # the Stokes term, with room for crests that wander to twice the wave number
+            extra = 2 * np.pi * patch.frequency * patch.height if patch.profile == "stokes" else 0.0
+            highest = max(highest, patch.height * (1 + extra))
+        return highest
+
     def elevation(self, waves: Waves) -> FloatArray:
         """Height of the sea floor over its mean at the points of `waves`, m."""
         result = np.zeros_like(waves.height)
@@ -159,7 +169,7 @@ class SeaFloor:
         for k, patch in enumerate(self._scene.ripples):
             on = waves.patch == k
             if on.any():
-                shape = profile_height(waves.phase[on], steepness[on], patch.profile)
+                shape = crest(waves.phase[on], steepness[on], patch.profile, patch.asymmetry)
                 result[on] = waves.height[on] * shape
         return result
 

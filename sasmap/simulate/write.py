@@ -19,7 +19,8 @@ from sasmap.errors import InputError
 from sasmap.products.colours import class_colour
 from sasmap.products.files import write_text, written_whole
 from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
-from sasmap.simulate.image import NODATA, record, track_line
+from sasmap.simulate.geometry import track_line
+from sasmap.simulate.image import NODATA, record
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
 from sasmap.yamlfile import dump_yaml
@@ -119,7 +120,9 @@ def _write_tiles(
         for j, left in enumerate(range(0, whole.columns, side)):
             transform = whole.transform @ Affine.translation(left, top)
             shape = min(side, whole.rows - top), min(side, whole.columns - left)
-            rng = np.random.default_rng(np.random.SeedSequence([scene.seed, k, i, j]))
+            # coherent tiles of a pass share their speckle, so that they meet without a seam
+            which = [scene.seed, k] if scene.physics == "coherent" else [scene.seed, k, i, j]
+            rng = np.random.default_rng(np.random.SeedSequence(which))
             pixels = record(scene, floor, scene_pass, transform, shape, rng)
             nodata = NODATA[scene_pass.dtype]
             valid = ~np.isnan(pixels) if np.isnan(nodata) else pixels != nodata
@@ -281,6 +284,9 @@ def _joined(runs: list[tuple[FloatArray, int, int]]) -> list[tuple[FloatArray, i
 
 
 def _survey(scene: Scene) -> str:
+    ripples = {"method": "default", "shadow": scene.shadow}
+    if scene.physics == "coherent":  # nothing that its physics would not bear out
+        ripples = {}
     content = {
         "name": scene.name,
         "output": "out",
@@ -297,7 +303,7 @@ def _survey(scene: Scene) -> str:
             }
             for p in scene.passes
         ],
-        "ripples": {"method": "default", "shadow": scene.shadow},
+        "ripples": ripples,
         "sediments": {"classes": "auto"},
     }
     return dump_yaml(content)
