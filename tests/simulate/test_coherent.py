@@ -1,4 +1,5 @@
 import ast
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -265,9 +266,7 @@ def expected_power(law, wave, height, phase, clip, blur, altitude):
     x0, y0 = clip.x.mean(), clip.y.mean()
     shift = clip.x[0, 0] - clip.ground_range[0, 0]
     edges = np.append(clip.ground_range[0] - PIXEL / 2, clip.ground_range[0, -1] + PIXEL / 2)
-    bins = np.concatenate(
-        [np.linspace(a, b, 9)[:-1] for a, b in zip(edges, edges[1:], strict=False)]
-    )
+    bins = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)])
     bins = np.append(bins, edges[-1])
     # intensity is spread by the squared point spread function
     reach = np.arange(-40, 41) * PIXEL / 8
