@@ -11,7 +11,7 @@ from sasmap.ripples.detection import Spectrum, Wave, find_waves, spectrum, too_l
 from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
 from sasmap.ripples.image import Image, as_image
 from sasmap.ripples.model import modelled
-from sasmap.ripples.optimise import COORDINATES, free_coordinates
+from sasmap.ripples.optimise import COORDINATES, free_coordinates, sampled_coordinates
 from sasmap.ripples.posterior import (
     NOTHING,
     LeftOut,
@@ -36,9 +36,8 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Points of the rounds in which the proposal is learned, and draws a chain of the rounds after which
-# convergence is judged.
-LEARNED, ROUND = (300, 300, 400), 300
+# Draws a chain of the rounds after which convergence is judged.
+ROUND = 300
 # Log posterior below the best peak's at which another counts for nothing.
 NEGLIGIBLE = 15.0
 # Draws from which the lag's slope over range is learned.
@@ -147,7 +146,7 @@ def _default(
             fit.phase.coherence_length,
             fit.phase.rippled_fraction,
             fit.phase.stiffness,
-            fit.geometry.noise_factor,
+            fit.noise_factor,
         ),
         None if image_of is None else image_of.amplitude,
         None if image_of is None else image_of.relief,
@@ -193,20 +192,25 @@ def _sampled(
 ) -> tuple[FloatArray, float, bool]:
     """Sampling coordinates (chain, draw, COORDINATES), accepted fraction, whether they converged."""
     free = free_coordinates(fit.geometry)
+    sampled = sampled_coordinates(fit.geometry)
+
+    def whole(points: FloatArray) -> FloatArray:
+        every = np.broadcast_to(fit.z, (*points.shape[:-1], COORDINATES)).copy()
+        every[..., sampled] = points
+        return every
 
     def log_density(points: FloatArray) -> FloatArray:
-        whole = np.zeros((len(points), COORDINATES))
-        whole[:, free] = points
-        return np.asarray(log_posteriors(whole, fit.data, fit.geometry))
+        return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
 
     best = fit.peaks[0].level
     peaks = [p for p in fit.peaks if p.level > best - NEGLIGIBLE]
-    proposal = mixture_of_peaks([(p.z[free], p.covariance, p.level - best) for p in peaks])
-    members, proposal = population(log_density, proposal, LEARNED, rng)
+    keep = np.ix_(*[np.isin(free, sampled)] * 2)
+    proposal = mixture_of_peaks(
+        [(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks]
+    )
+    members, proposal = population(log_density, proposal, rng)
     draws, accepted, done = _chains(log_density, proposal, members, settings, rng)
-    whole = np.zeros((*draws.shape[:2], COORDINATES))
-    whole[..., free] = draws
-    return whole, accepted, done
+    return whole(draws), accepted, done
 
 
 def _chains(
@@ -222,7 +226,7 @@ def _chains(
     accepted, kept, done = 0.0, 0, False
     while kept < settings.draws and not done:
         steps = min(max(ROUND, kept // 2), settings.draws - kept)
-        chains = metropolis_hastings(log_density, proposal, states, steps, rng)
+        chains = metropolis_hastings(log_density, proposal, members, states, steps, rng)
         states = chains.draws[:, -1]
         accepted += chains.accepted * steps
         kept += steps
@@ -242,7 +246,7 @@ def _labelled(
     named = {
         name: np.array([getattr(p, name) for p in flat]).reshape(shape) for name in flat[0]._fields
     }
-    sd = fit.phase.wave_sd * np.sqrt(fit.geometry.noise_factor)
+    sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
     along = fit.geometry.along + named.pop("wave_offset")
     if not fit.phase.rigid:

@@ -19,6 +19,7 @@ from sasmap.ripples.phase import (
     bend,
     bent,
     demodulate,
+    local_ratio,
     refined_wave,
     rewaved,
     straight,
@@ -38,9 +39,17 @@ from sasmap.ripples.priors import Prior
 from sasmap.ripples.settings import RippleSettings, scattering_law
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 # Expected standard deviation of a sonar's point spread, pixels.
 POINT_SPREAD = 0.5
+# Blur of the first climb over the expected one.
+COARSE = 5.0
+# Rounds in which the trend is told anew, knowing the pulse.
+TREND_ROUNDS = 2
+# Error of the model: relative of the expected intensity, and displacement in pixels, that pixels of a
+# wavelength of range and one of so many parts of phase share (pipelines/ripples/coherent.py).
+MODEL_ERROR, MODEL_SHIFT, ERROR_CELLS = 0.02, 0.25, 16
 # Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
 NOISE_BOUNDS = (0.5, 50.0)
@@ -58,6 +67,8 @@ class Fit(NamedTuple):
     geometry : Geometry
     peaks : list of Peak
         The likeliest first.
+    noise_factor : float
+        Variance of the speckle over that of independent pixels.
     """
 
     phase: PhaseField
@@ -65,6 +76,7 @@ class Fit(NamedTuple):
     data: Histogram
     geometry: Geometry
     peaks: list[Peak]
+    noise_factor: float = 1.0
 
     @property
     def z(self) -> FloatArray:
@@ -105,14 +117,17 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     found = bend(upright)
     if (found.scores >= STRAIGHT).any():
         fit = fitted(task, bent(image, boxes, bend(boxes)), boxes.trend)
-    return with_noise_factor(task, fit)
+    return refined(task, fit)
 
 
 def fitted(task: Task, phase: PhaseField, trend: FloatArray) -> Fit:
     """Sum a clip over phase and range and climb to the peaks of its posterior."""
     data = histogram(task.image, trend, phase)
     geometry = clip_geometry(task, phase, data)
-    peaks = [climb(z, data, geometry) for z in scan(data, geometry)]
+    # first as through a worse lens: edges of shadow make the likelihood rough
+    coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
+    starts = [climb(z, data, coarse).z for z in scan(data, coarse)]
+    peaks = [climb(z, data, geometry) for z in starts]
     return Fit(phase, trend, data, geometry, sorted(peaks, key=lambda p: -p.level))
 
 
@@ -140,7 +155,6 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         follows_image=not phase.rigid,
         published=published,
         shadow=rule,
-        noise_factor=1.0,
         fixed=fixed,
         height_mean=h_mean,
         height_sd=h_sd,
@@ -166,32 +180,79 @@ def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
     return fit.data.ground_range, np.unwrap(pulses_at(fit, fit.z)[1])
 
 
-def expected_at(fit: Fit, z: FloatArray) -> FloatArray:
-    """Expected intensity over the local mean (blocks, bins) of the histogram."""
-    means = np.empty(fit.data.pixel_count.shape)
-    fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means)
-    return means
+def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
+    means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
+    fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means, gains)
+    return means, gains
 
 
-def with_noise_factor(task: Task, fit: Fit) -> Fit:
-    """Temper the likelihood by what the clip's speckle is worth, and climb on."""
-    image = task.image
-    used = image.valid & fit.phase.pixels(fit.phase.covered, image.shape)
+def refined(task: Task, fit: Fit) -> Fit:
+    """Take off the trend that the fit leaves, temper the likelihood by the speckle, and climb on.
+
+    The first trend is told without knowing the pulse and takes up a part of it at a clip's edges.
+    """
+    image, phase = task.image, fit.phase
+    used = image.valid & phase.pixels(phase.covered, image.shape)
+    for _ in range(TREND_ROUNDS):
+        means, gains = expected_at(fit, fit.z)
+        model = painted(image, fit, used, means / gains[:, None])
+        trend = fit.trend * local_ratio(image, phase, used, model)
+        fit = climbed(fit._replace(trend=trend), histogram(image, trend, phase), fit.geometry)
+    model = painted(image, fit, used, expected_at(fit, fit.z)[0])
+    lit = used & (model > DARK)
+    ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
+    factor = noise_factor(image, phase.wave, ratio)
+    weight = bin_weights(fit, factor, MODEL_SHIFT * image.pixel_size * fit.geometry.along)
+    data = fit.data._replace(
+        pixel_count=weight * fit.data.pixel_count, intensity_sum=weight * fit.data.intensity_sum
+    )
+    return climbed(fit._replace(noise_factor=factor), data, fit.geometry)
+
+
+def bin_weights(fit: Fit, noise_factor: float, shift: float) -> FloatArray:
+    """What a pixel of each bin is worth (blocks, bins): less than one where the model may err.
+
+    A relative error of the expected intensity, and a displacement of the pulse, are shared by the
+    pixels of a wavelength of range and a part of phase. Integrated out, an error of standard
+    deviation s that n pixels share leaves them the weight 1 / (F + n s^2).
+
+    Parameters
+    ----------
+    fit : Fit
+    noise_factor : float
+        F, variance of the speckle over that of independent pixels.
+    shift : float
+        Standard deviation of the displacement, cycles.
+
+    Returns
+    -------
+    ndarray (blocks, bins)
+    """
+    logs = np.log(expected_at(fit, fit.z)[0])
+    slope = 0.5 * logs.shape[1] * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
+    pixels = np.bincount(fit.data.group, fit.data.pixel_count.sum(axis=1))[fit.data.group]
+    variance = MODEL_ERROR**2 + (shift * slope) ** 2
+    return np.asarray(1 / (noise_factor + pixels[:, None] / ERROR_CELLS * variance))
+
+
+def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
+    """Intensity of bins (blocks, bins) at the pixels that are used, times the trend; 0 elsewhere."""
     model = paint_pixels(
         used,
         image.ground_range,
         fit.phase.cycles(image.shape),
         fit.phase.per_pixel(image),
         fit.data.ground_range,
-        expected_at(fit, fit.z),
+        means,
     )
-    trend = spread_boxes(fit.trend, fit.phase.box, image.shape)
-    lit = used & (model > DARK)
-    ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model * trend, 1.0), 0.0)
-    factor = noise_factor(image, fit.phase.wave, ratio)
-    geometry = fit.geometry._replace(noise_factor=factor)
-    peaks = [climb(p.z, fit.data, geometry) for p in fit.peaks]
-    return fit._replace(geometry=geometry, peaks=sorted(peaks, key=lambda p: -p.level))
+    return np.asarray(model * spread_boxes(fit.trend, fit.phase.box, image.shape))
+
+
+def climbed(fit: Fit, data: Histogram, geometry: Geometry) -> Fit:
+    """Climb on from a fit's peaks on another histogram or geometry."""
+    peaks = [climb(p.z, data, geometry) for p in fit.peaks]
+    return fit._replace(data=data, geometry=geometry, peaks=sorted(peaks, key=lambda p: -p.level))
 
 
 def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:

@@ -89,7 +89,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> Modelled
 
 def _levels(z: FloatArray, fit: Fit) -> FloatArray:
     """Amplitude over the local mean's, and that without noise (2, blocks, bins)."""
-    means = expected_at(fit, z)
+    means, _ = expected_at(fit, z)
     ripple, geometry = parameters_at(z, fit.geometry), fit.geometry
     ratio = fit.data.ground_range / geometry.range_middle
     floor = ripple.noise * ratio**ripple.noise_slope / fit.data.trend

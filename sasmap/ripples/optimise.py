@@ -12,6 +12,7 @@ from sasmap.ripples.rendering import (
     Histogram,
     contrast_per_slope,
     fill_expected,
+    fill_pulses,
     log_posterior,
     log_prior,
     parameters_at,
@@ -20,6 +21,7 @@ from sasmap.ripples.rendering import (
 FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
+NOISE_SLOPE, BLUR = 8, 9
 # Heights of the scan: from this slope to the steepest that sand holds.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
 # Laws of the scan, by the coordinate of the exponent.
@@ -52,6 +54,12 @@ def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     return np.array([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
 
 
+def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
+    """Which of them are sampled: noise's slope and blur stay where the climb leaves them."""
+    free = free_coordinates(geometry)
+    return free[(free != NOISE_SLOPE) & (free != BLUR)]
+
+
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
     """Starts for :func:`climb`: the best height for each of a few laws, the likeliest first."""
     tangent = geometry.altitude_middle / geometry.range_middle
@@ -67,12 +75,24 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
             ripple = parameters_at(z, geometry)
             per_slope = contrast_per_slope(ripple.exponent, ripple.concentration, tangent)
             z[2] = np.log(height * per_slope)
+            z[:2] = _image_turned(z, data, geometry)
             level = log_posterior(z, data, geometry)
             if level > best_level:
                 best, best_level = z.copy(), level
         if best is not None:
             found.append((best_level, best))
     return [z for _, z in sorted(found, key=lambda f: -f[0])]
+
+
+def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
+    """Wave number (cycles/m) and phase (rad) by which a straight wave's image is off its crests."""
+    if geometry.follows_image:
+        return np.zeros(2)
+    pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
+    fill_pulses(parameters_at(np.append([0.0, 0.0], z[2:]), geometry), data, geometry, pulses, lags)
+    weight = np.sqrt(data.pixel_count.sum(axis=1))
+    slope, phase = np.polyfit(data.place, np.unwrap(lags), 1, w=weight) if len(lags) > 1 else (0, lags[0])
+    return np.array([slope / (2 * np.pi), phase])
 
 
 def climb(start: FloatArray, data: Histogram, geometry: Geometry) -> Peak:
@@ -117,10 +137,10 @@ def _slope(
     z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log posterior and its expected information, over the free coordinates."""
-    means = np.empty(data.pixel_count.shape)
+    means, gains = np.empty(data.pixel_count.shape), np.empty(len(data.place))
 
     def logs(at: FloatArray) -> FloatArray:
-        fill_expected(parameters_at(at, geometry), data, geometry, means)
+        fill_expected(parameters_at(at, geometry), data, geometry, means, gains)
         return np.log(means)
 
     def prior(at: FloatArray) -> float:
@@ -140,7 +160,7 @@ def _slope(
         both = np.isfinite(after) and np.isfinite(before)
         gradient[k] = (after - before) / (2 * step) if both else 0.0
         curvature[k] = max((2 * known - after - before) / step**2, 0.0) if both else 0.0
-    gradient += slopes @ residual.ravel() / geometry.noise_factor
+    gradient += slopes @ residual.ravel()
     weighted = slopes * data.pixel_count.ravel()
-    information = weighted @ slopes.T / geometry.noise_factor
+    information = weighted @ slopes.T
     return gradient, information + np.diag(curvature + 1e-6)

@@ -30,9 +30,15 @@ MAX_BOXES = 160
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
 STIFFNESS = (0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
 TREND_SD = 1.5
+# Rounds of the local trend, each on what the last left: at a clip's edge one alone is off by the
+# trend's slope.
+TREND_ROUNDS = 2
+# Steps of the log of range, and degree of the polynomial in it that is taken off first: near the
+# track intensity changes by more than smoothing can follow.
+RANGE_STEPS, RANGE_DEGREE = 24, 2
 # What a field of each stiffness must at least predict, of what straight crests do: a stiffness of
 # parts of a wave takes the pulse's own shape for phase.
-STRAIGHT = np.array([1.05, 1.025, 1.015, 1.01, 1.01, 1.01, 1.01, 1.01])
+STRAIGHT = np.array([1.12, 1.04, 1.015, 1.01, 1.01, 1.01, 1.01, 1.01])
 # Local amplitude, over that of the clip's rippled part, of places without ripples.
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
@@ -169,17 +175,53 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
     twice = box_sums(one, image.valid, 2 * per_column, 2 * per_row, size)[0]
     wavelength = pixels / size
     smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
-    trend = _local_trend(
-        smooth(sums[0]).real,
-        smooth(sums[1]).real,
-        smooth(turned[0]),
-        smooth(turned[1]),
-        smooth(twice),
-    )
+    around = smooth(sums[1]).real, smooth(turned[1]), smooth(twice)
+    trend = range_trend(image, size)
+    for _ in range(TREND_ROUNDS):
+        level = smooth(sums[0] / trend).real, smooth(turned[0] / trend)
+        trend = trend * _local_trend(*level, *around)
     flat = turned[0] / trend - turned[1]
     square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
     variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
     return Boxes(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6))
+
+
+def range_trend(image: Image, size: int) -> FloatArray:
+    """Power of range, nearly, that the clip's intensity follows, over boxes.
+
+    Parameters
+    ----------
+    image : Image
+    size : int
+        Pixels a side of a box.
+
+    Returns
+    -------
+    ndarray (box rows, box columns)
+        Mean 1 over the boxes; 1 where none is known.
+    """
+    valid = image.valid
+    reach = np.where(valid, image.ground_range, 0.0)
+    sums = [box_sums(v, valid, 0.0, 0.0, size)[0].real for v in (reach, image.power)]
+    count = box_sums(reach, valid, 0.0, 0.0, size)[1]
+    filled = count > 0
+    x = np.log(sums[0][filled] / count[filled])
+    middle, half = 0.5 * (x.max() + x.min()), max(0.5 * float(np.ptp(x)), 1e-9)
+    x = (x - middle) / half
+    # means of even steps of log range first: intensity is far from Gaussian
+    step = np.minimum((x + 1) * 0.5 * RANGE_STEPS, RANGE_STEPS - 1).astype(int)
+    pixels, total, place = (
+        np.bincount(step, v, RANGE_STEPS)
+        for v in (count[filled], sums[1][filled], x * count[filled])
+    )
+    some = total > 0
+    if some.sum() < 2 * RANGE_DEGREE:
+        return np.ones(count.shape)
+    where, level = place[some] / pixels[some], np.log(total[some] / pixels[some])
+    line = np.polyfit(where, level, RANGE_DEGREE, w=np.sqrt(pixels[some]))
+    trend = np.ones(count.shape)
+    trend[filled] = np.exp(np.polyval(line, x))
+    return trend / float(trend[filled].mean())
 
 
 def rewaved(image: Image, boxes: Boxes, wave: FloatArray) -> Boxes:
@@ -244,8 +286,8 @@ class _Smoother:
 
 def _local_trend(
     power: FloatArray,
-    count: FloatArray,
     power1: ComplexArray,
+    count: FloatArray,
     count1: ComplexArray,
     count2: ComplexArray,
 ) -> FloatArray:
@@ -559,3 +601,29 @@ def _coherence_length(
     below = np.flatnonzero(ratio < np.exp(-1))
     first = int(below[0]) if below.size else int(reach[-1])
     return float(first * boxes.size * image.pixel_size)
+
+
+def local_ratio(
+    image: Image, phase: PhaseField, used: BoolArray, model: FloatArray
+) -> FloatArray:
+    """Smooth ratio of an image and its model over boxes: what trend a model leaves.
+
+    Parameters
+    ----------
+    image : Image
+    phase : PhaseField
+    used : ndarray of bool (rows, columns)
+    model : ndarray (rows, columns)
+        Expected intensity where used.
+
+    Returns
+    -------
+    ndarray (box rows, box columns)
+        1 far from all pixels that are used.
+    """
+    sums = [box_sums(v, used, 0.0, 0.0, phase.box)[0].real for v in (image.power, model)]
+    wavelength = 1 / float(np.hypot(*image.per_pixel(phase.wave)) * phase.box)
+    smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
+    seen, expected = (smooth(v).real for v in sums)
+    known = expected > 1e-3 * expected.max()
+    return np.where(known, np.maximum(seen, 0.05 * expected) / np.where(known, expected, 1.0), 1.0)

@@ -11,9 +11,9 @@ The intensity of fully developed speckle is exponential about its mean m = g P +
 pulse, g the gain of a few blocks of range and n0 the noise floor. A clip enters through the number
 n of pixels and the sum of intensity in each bin of a phase-range histogram:
 
-    log L = - sum n (log m + mean intensity / m) / F
+    log L = - sum w n (log m + mean intensity / m)
 
-with F the variance of the speckle over that of independent pixels.
+with w what a pixel is worth: less than one where speckle is correlated or the model may err.
 
 All compiled functions that call each other are in this file: numba keeps compiled code on disk and
 notices a change only in the file of the function that it compiled.
@@ -30,20 +30,18 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 # Facets a bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
-FACETS = 4
+FACETS = 3
 # Nodes of the scattering law over the sine of the local grazing angle.
 NODES = 512
-# Largest second harmonics of the crest profile, over A_H: at 0.25 in phase with the crest it is the
-# peaked profile 2((1 + sin)/2)^2 - 1; beyond 0.3 a second crest grows in the trough.
-MOST_PEAKED, LEAST_PEAKED, MOST_ASYMMETRIC = 0.3, -0.05, 0.3
-# Bounds of the scattering law sin^n exp(-c (theta - pi/2)^2): n = 0, c = 3/pi is Zare and Cobb's,
-# n = 2, c = 0 Lambert's.
-MOST_EXPONENT, MOST_CONCENTRATION = 4.0, 2.0
-# Logits of n / 4 and c / 2 are Gaussian (mean, sd): 90 % of n within 0.3 and 3.4 about 1.5, of c
-# within 0.06 and 1.5 about 0.5. Real sand is near Lambert's law at 5 to 40 degrees (Boehme 1985).
-EXPONENT_LOGIT, CONCENTRATION_LOGIT = (-0.5, 1.3), (-1.2, 1.4)
-# Logit of the peakedness within its bounds, and standard deviation of the asymmetry's.
-PEAKED_LOGIT, ASYMMETRY_SD = (-1.3, 0.8), 0.7
+# Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and the
+# largest that are tried: 0 is a sine, 0.25 in phase with the crest the peaked profile
+# 2((1 + sin)/2)^2 - 1, and beyond 0.4 a second crest grows in the trough.
+PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.1), 0.4
+# Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
+# c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
+# (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
+EXPONENT, CONCENTRATION = (1.5, 0.9), (0.4, 0.5)
+LAW_BOUNDS = (-1.0, 5.0)
 # Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and
 # the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
 # taken out under Lambert's law.
@@ -95,7 +93,8 @@ class Histogram(NamedTuple):
     Attributes
     ----------
     pixel_count, intensity_sum : ndarray (blocks, bins)
-        Pixels that are not saturated, and sum of intensity over the clip's local mean.
+        Pixels that are not saturated, and sum of intensity over the clip's local mean; both times
+        what a pixel is worth.
     phase_offset : ndarray (blocks, bins)
         Mean phase of a bin's pixels from its middle, cycles.
     place : ndarray (blocks,)
@@ -139,8 +138,6 @@ class Geometry(NamedTuple):
         Whether the wavelength is that of Zare and Cobb, equation 3.
     shadow : int
         LINE_OF_SIGHT or CREST, 0 where no shadow can fall.
-    noise_factor : float
-        Variance of the speckle over that of independent pixels.
     fixed : ndarray (4,)
         Exponent, concentration, peakedness and asymmetry where not estimated; NaN where they are.
     height_mean, height_sd, height_least, height_most : float
@@ -161,7 +158,6 @@ class Geometry(NamedTuple):
     follows_image: bool
     published: bool
     shadow: int
-    noise_factor: float
     fixed: FloatArray
     height_mean: float
     height_sd: float
@@ -200,20 +196,21 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
     fixed = geometry.fixed
     exponent, concentration, peakedness, asymmetry = fixed[0], fixed[1], fixed[2], fixed[3]
     if np.isnan(exponent):
-        logit = EXPONENT_LOGIT[0] + EXPONENT_LOGIT[1] * z[3]
-        exponent = MOST_EXPONENT / (1.0 + np.exp(-logit))
-    if np.isnan(concentration):
-        logit = CONCENTRATION_LOGIT[0] + CONCENTRATION_LOGIT[1] * z[4]
-        concentration = MOST_CONCENTRATION / (1.0 + np.exp(-logit))
+        exponent = EXPONENT[0] + EXPONENT[1] * z[3]
+        concentration = CONCENTRATION[0] + CONCENTRATION[1] * z[4]
     if np.isnan(peakedness):
-        logit = PEAKED_LOGIT[0] + PEAKED_LOGIT[1] * z[5]
-        peakedness = LEAST_PEAKED + (MOST_PEAKED - LEAST_PEAKED) / (1.0 + np.exp(-logit))
-    if np.isnan(asymmetry):
-        asymmetry = MOST_ASYMMETRIC * np.tanh(ASYMMETRY_SD * z[6])
-    tangent = geometry.altitude_middle / geometry.range_middle
-    height = np.exp(z[2]) / contrast_per_slope(exponent, concentration, tangent)
+        peakedness = PEAKEDNESS[0] + PEAKEDNESS[1] * z[5]
+        asymmetry = ASYMMETRY[0] + ASYMMETRY[1] * z[6]
+    contrast = np.exp(z[2])
+    middle = geometry.altitude_middle
+    tangent = middle / geometry.range_middle
+    rough = contrast / max(contrast_per_slope(exponent, concentration, tangent), 1e-9)
     # the sonar's altitude is measured over crest or trough
-    sd = np.sqrt(geometry.altitude_sd**2 + 0.5 * height * height)
+    sd = np.sqrt(geometry.altitude_sd**2 + 0.5 * rough * rough)
+    scale = max(1.0 + z[10] * sd / middle, 0.1)
+    # where shadow and contrast tell height over altitude, these two coordinates do not depend
+    per_slope = contrast_per_slope(exponent, concentration, tangent * scale)
+    height = contrast / per_slope if per_slope > 0.0 else np.inf
     return Parameters(
         z[0],
         z[1],
@@ -225,7 +222,7 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
         np.exp(NOISE_LOG[0] + NOISE_LOG[1] * z[7]),
         NOISE_SLOPE[0] + NOISE_SLOPE[1] * z[8],
         geometry.expected_blur * np.exp(BLUR_SD * z[9]),
-        max(1.0 + z[10] * sd / geometry.altitude_middle, 0.1),
+        scale,
     )
 
 
@@ -234,6 +231,11 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
     """Log prior density of the sampling coordinates, up to a constant."""
     height = ripple.height
     if not geometry.height_least <= height <= geometry.height_most:
+        return -np.inf
+    if max(abs(ripple.peakedness), abs(ripple.asymmetry)) > MOST_HARMONIC:
+        return -np.inf
+    least, most = LAW_BOUNDS
+    if not (least < ripple.exponent < most and least < ripple.concentration < most):
         return -np.inf
     along = geometry.along + ripple.wave_offset
     frequency = np.hypot(along, geometry.across)
@@ -349,7 +351,7 @@ def value_at(pulse, place):  # type: ignore[no-untyped-def]
 def fill_law(exponent, concentration, law):  # type: ignore[no-untyped-def]
     """Scattered intensity at NODES sines of the local grazing angle, 0 to 1."""
     for i in range(NODES):
-        law[i] = law_intensity(i / (NODES - 1.0), exponent, concentration)
+        law[i] = law_intensity(max(i, 0.1) / (NODES - 1.0), exponent, concentration)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -382,9 +384,10 @@ def fill_rendered(wave, tangent, ground_range, shadow, facets, law, pulse):  # t
         h = heights[i]
         # the ray's own grazing angle is less by h / range
         grazing = (sine + (slopes[i] - h / ground_range) * cosine) / areas[i]
-        if grazing <= 0.0 or (shadow and lit[i] <= 0.0):
+        # of a facet that the ray grazes a part may be lit where its middle is turned away
+        if (shadow and lit[i] <= 0.0) or (grazing <= 0.0 and not shadow):
             continue
-        x = min(grazing, 1.0) * (NODES - 1)
+        x = min(max(grazing, 0.0), 1.0) * (NODES - 1)
         low = min(int(x), NODES - 2)
         power = areas[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
         if shadow:
@@ -507,8 +510,11 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_expected(ripple, data, geometry, means):  # type: ignore[no-untyped-def]
-    """Expected intensity of each bin, (blocks, bins); return the gains' part of the likelihood."""
+def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-untyped-def]
+    """Expected intensity of each bin, (blocks, bins), and gain of each block.
+
+    Return the gains' part of the likelihood: they are integrated out under 1 / gain.
+    """
     blocks, bins = means.shape
     pulses, lags = np.empty((blocks, bins)), np.empty(blocks)
     fill_pulses(ripple, data, geometry, pulses, lags)
@@ -529,6 +535,7 @@ def fill_expected(ripple, data, geometry, means):  # type: ignore[no-untyped-def
         log_gain, information = _gain(first, last, data, means, floors)
         gain = np.exp(log_gain)
         for b in range(first, last):
+            gains[b] = gain
             for i in range(bins):
                 means[b, i] = gain * means[b, i] + floors[b]
         value -= 0.5 * np.log(information)
@@ -544,13 +551,13 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
     if not value > -np.inf:
         return -np.inf
     means = np.empty(data.pixel_count.shape)
-    value += fill_expected(ripple, data, geometry, means)
+    value += fill_expected(ripple, data, geometry, means, np.empty(means.shape[0]))
     level = 0.0
     counts, sums = data.pixel_count, data.intensity_sum
     for b in range(means.shape[0]):
         for i in range(means.shape[1]):
             level -= counts[b, i] * np.log(means[b, i]) + sums[b, i] / means[b, i]
-    return value + level / geometry.noise_factor
+    return value + level
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
