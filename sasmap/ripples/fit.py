@@ -11,7 +11,7 @@ from scipy.fft import rfft2
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
-from sasmap.ripples.optimise import Peak, climb, scan
+from sasmap.ripples.optimise import BLUR, Peak, climb, distinct, scan
 from sasmap.ripples.phase import (
     STRAIGHT,
     Boxes,
@@ -27,6 +27,7 @@ from sasmap.ripples.phase import (
 )
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.rendering import (
+    BLUR_SD,
     CREST,
     LINE_OF_SIGHT,
     Geometry,
@@ -41,10 +42,10 @@ from sasmap.ripples.settings import RippleSettings, scattering_law
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Expected standard deviation of a sonar's point spread, pixels.
-POINT_SPREAD = 0.5
+# Expected standard deviation of a sonar's point spread, pixels, besides the bins'.
+POINT_SPREAD = 0.35
 # Blur of the first climb over the expected one.
-COARSE = 5.0
+COARSE, COARSE_ROUNDS = 5.0, 12
 # Rounds in which the trend is told anew, knowing the pulse.
 TREND_ROUNDS = 2
 # Error of the model: relative of the expected intensity, and displacement in pixels, that pixels of a
@@ -126,9 +127,12 @@ def fitted(task: Task, phase: PhaseField, trend: FloatArray) -> Fit:
     geometry = clip_geometry(task, phase, data)
     # first as through a worse lens: edges of shadow make the likelihood rough
     coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
-    starts = [climb(z, data, coarse).z for z in scan(data, coarse)]
-    peaks = [climb(z, data, geometry) for z in starts]
-    return Fit(phase, trend, data, geometry, sorted(peaks, key=lambda p: -p.level))
+    rough = distinct([climb(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 2)
+    starts = [p.z.copy() for p in rough]
+    for z in starts:
+        z[BLUR] = np.clip(z[BLUR] + np.log(COARSE) / BLUR_SD, -3.0, 3.0)  # the same blur
+    peaks = distinct([climb(z, data, geometry, COARSE_ROUNDS) for z in starts], 2)
+    return Fit(phase, trend, data, geometry, peaks)
 
 
 def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
@@ -251,8 +255,8 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
 
 def climbed(fit: Fit, data: Histogram, geometry: Geometry) -> Fit:
     """Climb on from a fit's peaks on another histogram or geometry."""
-    peaks = [climb(p.z, data, geometry) for p in fit.peaks]
-    return fit._replace(data=data, geometry=geometry, peaks=sorted(peaks, key=lambda p: -p.level))
+    peaks = distinct([climb(p.z, data, geometry) for p in fit.peaks], 2)
+    return fit._replace(data=data, geometry=geometry, peaks=peaks)
 
 
 def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:

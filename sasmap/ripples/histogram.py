@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 # over a metre, and a pulse rendered anew each quarter of a metre moved A_H by 2 %.
 LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.025
 # Bins of phase a pixel along the look, and their least and largest number.
-BINS_A_PIXEL, LEAST_BINS, MOST_BINS = 1.5, 16, 96
+BINS_A_PIXEL, LEAST_BINS, MOST_BINS = 1.25, 16, 64
 
 
 def range_edges(nearest: float, farthest: float) -> FloatArray:

@@ -28,7 +28,9 @@ LEAST_SLOPE, HEIGHTS = 0.01, 16
 LAWS = (-1.3, 0.3, 1.3)
 # Steps by which derivatives are taken, in sampling coordinates, and largest steps of the scoring.
 STEP, LONGEST = 1e-3, 1.5
-ROUNDS, ENOUGH = 25, 1e-3
+ROUNDS, ENOUGH = 20, 0.02
+# Peaks nearer than this in every coordinate are the same.
+SAME = 0.3
 
 
 class Peak(NamedTuple):
@@ -95,7 +97,9 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     return np.array([slope / (2 * np.pi), phase])
 
 
-def climb(start: FloatArray, data: Histogram, geometry: Geometry) -> Peak:
+def climb(
+    start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = ROUNDS
+) -> Peak:
     """Climb to the nearest maximum of the posterior by damped Fisher scoring.
 
     Parameters
@@ -104,6 +108,8 @@ def climb(start: FloatArray, data: Histogram, geometry: Geometry) -> Peak:
         With finite log posterior.
     data : Histogram
     geometry : Geometry
+    rounds : int
+        At most.
 
     Returns
     -------
@@ -113,7 +119,7 @@ def climb(start: FloatArray, data: Histogram, geometry: Geometry) -> Peak:
     z, level = start.copy(), log_posterior(start, data, geometry)
     damping = 1e-3
     gradient, information = _slope(z, data, geometry, free)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         scale = np.diag(information)
         step = np.linalg.solve(information + damping * np.diag(scale), gradient)
         step *= min(1.0, LONGEST / np.abs(step).max())
@@ -131,6 +137,15 @@ def climb(start: FloatArray, data: Histogram, geometry: Geometry) -> Peak:
             if damping > 1e6:
                 break
     return Peak(z, level, np.linalg.inv(information))
+
+
+def distinct(peaks: list[Peak], most: int) -> list[Peak]:
+    """Keep the likeliest peaks, each of those that are nearly the same once."""
+    kept: list[Peak] = []
+    for peak in sorted(peaks, key=lambda p: -p.level):
+        if all(np.abs(peak.z - other.z).max() > SAME for other in kept):
+            kept.append(peak)
+    return kept[:most]
 
 
 def _slope(
@@ -155,7 +170,7 @@ def _slope(
         ahead, behind = z.copy(), z.copy()
         ahead[i] += step
         behind[i] -= step
-        slopes[k] = ((logs(ahead) - logs(behind)) / (2 * step)).ravel()
+        slopes[k] = ((logs(ahead) - here) / step).ravel()
         after, before = prior(ahead), prior(behind)
         both = np.isfinite(after) and np.isfinite(before)
         gradient[k] = (after - before) / (2 * step) if both else 0.0

@@ -69,7 +69,7 @@ class Parameters(NamedTuple):
     noise, noise_slope : float
         Noise floor over the clip's mean intensity at mean range, and its power of range.
     blur : float
-        Standard deviation of the image's blur along the look, cycles.
+        Standard deviation of the image's blur along the look, cycles, besides that of the bins.
     altitude_scale : float
         True altitude over that of the navigation.
     """
@@ -430,8 +430,7 @@ def fill_published(ripple, wave, tangent, ground_range, shadow, facets, pulse): 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_blur(width, kernel):  # type: ignore[no-untyped-def]
     """Gaussian of a standard deviation in bins, one side with its middle; return how many count."""
-    # two linear interpolations have a variance of a sixth of a bin each
-    variance = max(width * width - 1.0 / 3.0, 1e-3)
+    variance = max(width * width, 1e-3)
     reach = min(int(4.0 * np.sqrt(variance)) + 1, kernel.size - 1)
     total = 0.0
     for i in range(reach + 1):
