@@ -29,6 +29,7 @@ from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.rendering import (
     BLUR_SD,
     CREST,
+    LAW_KNOTS,
     LINE_OF_SIGHT,
     Geometry,
     Histogram,
@@ -51,10 +52,15 @@ TREND_ROUNDS = 2
 # Error of the model: relative of the expected intensity, and displacement in pixels, that pixels of a
 # wavelength of range and one of so many parts of phase share (pipelines/ripples/coherent.py).
 MODEL_ERROR, MODEL_SHIFT, ERROR_CELLS = 0.02, 0.25, 16
+# Departure of the log of a scattering law from its family; harmonics of phase in which a group of range
+# may differ from the model, the least standard deviation of each, and rounds in which it is learned.
+LAW_ERROR, ERROR_HARMONICS, HARMONIC_FLOOR, ERROR_ROUNDS = 0.08, 3, 0.005, 2
 # Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
 NOISE_BOUNDS = (0.5, 50.0)
 EULER = 0.5772156649015329
+# Cosine of the angle to the wave beyond which the residual is speckle alone.
+BESIDE = 0.8
 
 
 class Fit(NamedTuple):
@@ -159,6 +165,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         follows_image=not phase.rigid,
         published=published,
         shadow=rule,
+        law_error=np.zeros(LAW_KNOTS.size),
         fixed=fixed,
         height_mean=h_mean,
         height_sd=h_sd,
@@ -207,11 +214,53 @@ def refined(task: Task, fit: Fit) -> Fit:
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
     factor = noise_factor(image, phase.wave, ratio)
-    weight = bin_weights(fit, factor, MODEL_SHIFT * image.pixel_size * fit.geometry.along)
+    shift = MODEL_SHIFT * image.pixel_size * fit.geometry.along
+    weight = bin_weights(fit, factor, shift)
     data = fit.data._replace(
         pixel_count=weight * fit.data.pixel_count, intensity_sum=weight * fit.data.intensity_sum
     )
-    return climbed(fit._replace(noise_factor=factor), data, fit.geometry)
+    fit = fit._replace(noise_factor=factor, data=data)
+    for _ in range(ERROR_ROUNDS):
+        fit = climbed(fit, with_errors(fit), fit.geometry)
+    return fit
+
+
+def with_errors(fit: Fit) -> Histogram:
+    """Add what the model may be wrong by, beyond single bins, to a histogram.
+
+    The scattering law's departure from its family, and harmonics of phase in each group of range
+    (height, wavelength, profile and phase that change from place to place), as far as the clip's
+    own misfit tells that there are. They are integrated out to second order.
+    """
+    data, geometry = fit.data, fit.geometry
+    means = expected_at(fit, fit.z)[0]
+    logs = np.log(means)
+    errors, sds = [], []
+    if not geometry.published and np.isnan(geometry.fixed[0]):
+        for k in range(LAW_KNOTS.size):
+            bent_law = np.zeros(LAW_KNOTS.size)
+            bent_law[k] = LAW_ERROR
+            other = fit._replace(geometry=geometry._replace(law_error=bent_law))
+            errors.append((np.log(expected_at(other, fit.z)[0]) - logs) / LAW_ERROR)
+            sds.append(LAW_ERROR)
+    count = data.pixel_count
+    residual = data.intensity_sum / means - count
+    angle = (np.arange(means.shape[1]) + 0.5) * 2 * np.pi / means.shape[1]
+    angle = angle + 2 * np.pi * data.phase_offset
+    inside = data.group == np.arange(data.group.max() + 1)[:, None]
+    for k in range(1, ERROR_HARMONICS + 1):
+        waves = [inside[:, :, None] * np.asarray(f(k * angle)) for f in (np.cos, np.sin)]
+        shapes = np.concatenate(waves)
+        known = np.maximum((shapes**2 * count).sum(axis=(1, 2)), 1e-9)
+        found = (shapes * residual).sum(axis=(1, 2)) / known
+        variance = float(np.average(found**2 - 1 / known, weights=known))
+        errors += list(shapes)
+        sds += [float(np.sqrt(max(variance, HARMONIC_FLOOR**2)))] * len(shapes)
+    stack = np.array(errors)
+    flat = stack.reshape(len(stack), -1)
+    information = (flat * count.ravel()) @ flat.T
+    gain = np.linalg.inv(information + np.diag(1 / np.array(sds) ** 2))
+    return data._replace(errors=stack, error_gain=gain)
 
 
 def bin_weights(fit: Fit, noise_factor: float, shift: float) -> FloatArray:
@@ -285,7 +334,12 @@ def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:
     per_column, per_row = image.per_pixel(wave)
     radius = np.hypot(np.fft.rfftfreq(image.shape[1]), np.fft.fftfreq(image.shape[0])[:, None])
     number = np.hypot(per_column, per_row)
-    ring = (radius > 0.6 * number) & (radius < 1.6 * number)
+    # beside the wave's own direction, where a misfit of the model has its power
+    along = np.fft.rfftfreq(image.shape[1]) * per_column + np.fft.fftfreq(image.shape[0])[
+        :, None
+    ] * per_row
+    beside = np.abs(along) < BESIDE * number * radius
+    ring = (radius > 0.6 * number) & (radius < 1.6 * number) & beside
     if ring.sum() < 20:
         return 1.0
     level = float(np.log(power[ring] + 1e-12).mean() + EULER)

@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 # Blocks of range over which one pulse is rendered: at 4 m the slope of the ray changes by a quarter
 # over a metre, and a pulse rendered anew each quarter of a metre moved A_H by 2 %.
 LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.025
+# Groups of range that have a gain of their own are a wavelength long, and at most so many.
+MOST_GROUPS = 8
 # Bins of phase a pixel along the look, and their least and largest number.
 BINS_A_PIXEL, LEAST_BINS, MOST_BINS = 1.25, 16, 64
 
@@ -86,10 +88,10 @@ def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
         bins,
         phase.box,
     )
-    return _as_histogram(sums, blocks, 1 / along)
+    return _as_histogram(sums, blocks, max(1 / along, float(np.ptp(edges)) / MOST_GROUPS))
 
 
-def _as_histogram(sums: FloatArray, blocks: FloatArray, wavelength: float) -> Histogram:
+def _as_histogram(sums: FloatArray, blocks: FloatArray, length: float) -> Histogram:
     """Drop empty blocks, turn sums into means and number the groups that share a gain."""
     filled = blocks[:, PIXELS] > 0
     sums, blocks = sums[filled], blocks[filled]
@@ -97,8 +99,8 @@ def _as_histogram(sums: FloatArray, blocks: FloatArray, wavelength: float) -> Hi
     group = np.zeros(len(mean), np.int64)
     begin = mean[0, RANGE]
     for b in range(1, len(mean)):
-        whole = mean[b, RANGE] - begin >= wavelength
-        enough = mean[-1, RANGE] - mean[b, RANGE] >= 0.9 * wavelength
+        whole = mean[b, RANGE] - begin >= length
+        enough = mean[-1, RANGE] - mean[b, RANGE] >= 0.9 * length
         group[b] = group[b - 1] + (whole and enough)
         if group[b] > group[b - 1]:
             begin = mean[b, RANGE]
@@ -111,4 +113,6 @@ def _as_histogram(sums: FloatArray, blocks: FloatArray, wavelength: float) -> Hi
         mean[:, ALTITUDE].copy(),
         mean[:, TREND].copy(),
         group,
+        np.zeros((0, *sums.shape[:2])),
+        np.zeros((0, 0)),
     )

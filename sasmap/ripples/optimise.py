@@ -21,7 +21,7 @@ from sasmap.ripples.rendering import (
 FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
-NOISE_SLOPE, BLUR = 8, 9
+HEIGHT, NOISE_SLOPE, BLUR = 2, 8, 9
 # Heights of the scan: from this slope to the steepest that sand holds.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
 # Laws of the scan, by the coordinate of the exponent.
@@ -175,7 +175,12 @@ def _slope(
         both = np.isfinite(after) and np.isfinite(before)
         gradient[k] = (after - before) / (2 * step) if both else 0.0
         curvature[k] = max((2 * known - after - before) / step**2, 0.0) if both else 0.0
+    count = data.pixel_count.ravel()
     gradient += slopes @ residual.ravel()
-    weighted = slopes * data.pixel_count.ravel()
-    information = weighted @ slopes.T
+    information = (slopes * count) @ slopes.T
+    if len(data.errors):
+        errors = data.errors.reshape(len(data.errors), -1)
+        shared = (slopes * count) @ errors.T @ data.error_gain
+        gradient -= shared @ (errors @ residual.ravel())
+        information -= shared @ ((errors * count) @ slopes.T)
     return gradient, information + np.diag(curvature + 1e-6)

@@ -42,6 +42,8 @@ PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.1), 0.4
 # (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
 EXPONENT, CONCENTRATION = (1.5, 0.9), (0.4, 0.5)
 LAW_BOUNDS = (-1.0, 5.0)
+# Grazing angles between which a law's departure from the family is linear in the log of the sine.
+LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 60.0]))))
 # Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and
 # the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
 # taken out under Lambert's law.
@@ -105,6 +107,10 @@ class Histogram(NamedTuple):
         Local mean intensity over the clip's.
     group : ndarray of int (blocks,)
         Consecutive blocks that share a gain, numbered from 0.
+    errors : ndarray (errors, blocks, bins)
+        Directions in which the log of the expected intensity may be wrong.
+    error_gain : ndarray (errors, errors)
+        Inverse of their information and prior precision together.
     """
 
     pixel_count: FloatArray
@@ -115,6 +121,8 @@ class Histogram(NamedTuple):
     altitude: FloatArray
     trend: FloatArray
     group: NDArray[np.int64]
+    errors: FloatArray
+    error_gain: FloatArray
 
 
 class Geometry(NamedTuple):
@@ -138,6 +146,8 @@ class Geometry(NamedTuple):
         Whether the wavelength is that of Zare and Cobb, equation 3.
     shadow : int
         LINE_OF_SIGHT or CREST, 0 where no shadow can fall.
+    law_error : ndarray (LAW_KNOTS.size,)
+        Departure of the log of the scattering law from its family, at the knots.
     fixed : ndarray (4,)
         Exponent, concentration, peakedness and asymmetry where not estimated; NaN where they are.
     height_mean, height_sd, height_least, height_most : float
@@ -158,6 +168,7 @@ class Geometry(NamedTuple):
     follows_image: bool
     published: bool
     shadow: int
+    law_error: FloatArray
     fixed: FloatArray
     height_mean: float
     height_sd: float
@@ -348,10 +359,14 @@ def value_at(pulse, place):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_law(exponent, concentration, law):  # type: ignore[no-untyped-def]
+def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-def]
     """Scattered intensity at NODES sines of the local grazing angle, 0 to 1."""
+    known = error.any()
     for i in range(NODES):
-        law[i] = law_intensity(max(i, 0.1) / (NODES - 1.0), exponent, concentration)
+        sine = max(i, 0.1) / (NODES - 1.0)
+        law[i] = law_intensity(sine, exponent, concentration)
+        if known:
+            law[i] *= np.exp(np.interp(np.log(sine), LAW_KNOTS, error))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -474,7 +489,7 @@ def fill_pulses(ripple, data, geometry, pulses, lags):  # type: ignore[no-untype
     wave = geometry.along + ripple.wave_offset
     reach = fill_blur(ripple.blur * bins, kernel)
     if not geometry.published:
-        fill_law(ripple.exponent, ripple.concentration, law)
+        fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
         fill_facets(ripple, wave, geometry.across, facets)
     for b in range(blocks):
         distance = data.ground_range[b]
@@ -551,12 +566,36 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
         return -np.inf
     means = np.empty(data.pixel_count.shape)
     value += fill_expected(ripple, data, geometry, means, np.empty(means.shape[0]))
-    level = 0.0
+    residuals = np.empty(means.shape)
+    value += fill_residuals(means, data, residuals)
+    if data.errors.shape[0] > 0:
+        shapes = data.errors.reshape(data.errors.shape[0], means.size)
+        pull = np.dot(shapes, residuals.ravel())
+        value += 0.5 * np.dot(pull, np.dot(data.error_gain, pull))
+    return value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_residuals(means, data, residuals):  # type: ignore[no-untyped-def]
+    """Signed root of the deviance of each bin, times its pixels; return the log likelihood.
+
+    To first order the intensity's relative residual, but an error that is fitted to it never gains
+    more than the misfit costs.
+    """
     counts, sums = data.pixel_count, data.intensity_sum
+    level = 0.0
     for b in range(means.shape[0]):
         for i in range(means.shape[1]):
-            level -= counts[b, i] * np.log(means[b, i]) + sums[b, i] / means[b, i]
-    return value + level
+            n, m = counts[b, i], means[b, i]
+            residuals[b, i] = 0.0
+            if n <= 0.0:
+                level -= sums[b, i] / m
+                continue
+            ratio = max(sums[b, i] / (n * m), 1e-12)
+            level -= n * (np.log(m) + ratio)
+            size = np.sqrt(max(2.0 * (ratio - 1.0 - np.log(ratio)), 0.0))
+            residuals[b, i] = n * (size if ratio > 1.0 else -size)
+    return level
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

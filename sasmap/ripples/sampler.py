@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 
 from sasmap.gaussians import Mixture, expectation_maximisation
 
@@ -70,7 +70,13 @@ class Proposal:
         for k, (mean, inverse) in enumerate(zip(self._mixture.mean, self._inverse, strict=True)):
             square = ((inverse @ (points - mean).T) ** 2).sum(axis=0)
             logs[k] = self._norm[k] - 0.5 * (STUDENT + size) * np.log1p(square / STUDENT)
-        return np.asarray(logsumexp(logs, axis=0))
+        return log_sum(logs)
+
+
+def log_sum(logs: FloatArray) -> FloatArray:
+    """Log of the sum of exponentials along the first axis."""
+    top = logs.max(axis=0)
+    return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
 
 
 class Chains(NamedTuple):
@@ -215,7 +221,7 @@ def population(
         proposals.append(proposal)
         points = np.concatenate([points, drawn]) if k else drawn
         levels = np.concatenate([levels, log_density(drawn)])
-        together = logsumexp([p.log_density(points) for p in proposals], axis=0)
+        together = log_sum(np.array([p.log_density(points) for p in proposals]))
         log_weight = levels - together
         weight = tempered(log_weight, ADAPTED * points.shape[1])
         chosen = points[resampled(weight, 3 * POINTS, rng)]
