@@ -23,10 +23,9 @@ from sasmap.ripples.posterior import (
 )
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.published import sample_published
-from sasmap.ripples.rendering import log_posteriors, parameters_at
+from sasmap.ripples.rendering import heights_at, log_posteriors, parameters_at
 from sasmap.ripples.sampler import (
-    LogDensity,
-    Proposal,
+    fit_proposal,
     metropolis_hastings,
     mixture_of_peaks,
     population,
@@ -36,8 +35,12 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Draws a chain of the rounds after which convergence is judged.
-ROUND = 300
+# Draws a chain of the burn-in, from which the proposal is learned anew and frozen; share of them that
+# are independent; and draws of the rounds after which convergence is judged.
+BURN_IN, INDEPENDENT, ROUND = 300, 0.2, 300
+# Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
+# (pipelines/ripples/coherent.py).
+FIELD_HEIGHT = 0.06
 # Log posterior below the best peak's at which another counts for nothing.
 NEGLIGIBLE = 15.0
 # Draws from which the lag's slope over range is learned.
@@ -209,21 +212,19 @@ def _sampled(
         [(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks]
     )
     members, proposal = population(log_density, proposal, rng)
-    draws, accepted, done = _chains(log_density, proposal, members, settings, rng)
-    return whole(draws), accepted, done
-
-
-def _chains(
-    log_density: LogDensity,
-    proposal: Proposal,
-    members: FloatArray,
-    settings: RippleSettings,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, float, bool]:
-    """Run chains until they converge, or for the largest number of draws."""
     states = members[rng.permutation(len(members))[: settings.chains]]
+    burn_in = metropolis_hastings(log_density, proposal, members, states, BURN_IN, rng).draws
+    seen = burn_in[:, BURN_IN // 4 :].reshape(-1, sampled.size)
+    members = seen[rng.permutation(len(seen))]
+    proposal = fit_proposal(members, len(members) * INDEPENDENT)
+
+    def told(draws: FloatArray) -> bool:
+        points = whole(draws)
+        heights = heights_at(points.reshape(-1, COORDINATES), fit.geometry)
+        return converged(points[..., 0]) and converged(heights.reshape(points.shape[:2]))
+
     rounds: list[FloatArray] = []
-    accepted, kept, done = 0.0, 0, False
+    states, accepted, kept, done = burn_in[:, -1], 0.0, 0, False
     while kept < settings.draws and not done:
         steps = min(max(ROUND, kept // 2), settings.draws - kept)
         chains = metropolis_hastings(log_density, proposal, members, states, steps, rng)
@@ -232,9 +233,8 @@ def _chains(
         kept += steps
         rounds.append(chains.draws)
         draws = np.concatenate(rounds, axis=1)
-        # wave number, phase, contrast, and the law by which that is a height
-        done = all(converged(draws[..., i]) for i in range(min(4, draws.shape[2])))
-    return draws, accepted / kept, done
+        done = told(draws)
+    return whole(draws), accepted / kept, done
 
 
 def _labelled(
@@ -249,8 +249,9 @@ def _labelled(
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
     along = fit.geometry.along + named.pop("wave_offset")
-    if not fit.phase.rigid:
+    if not fit.phase.rigid:  # what the image does not tell is drawn from its prior
         along = along + sd[0] * rng.standard_normal(shape) + _lag_slopes(points, fit)
+        named["height"] = named["height"] * np.exp(FIELD_HEIGHT * rng.standard_normal(shape))
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     azimuth -= 180.0 * np.floor(azimuth.mean() / 180.0)
     named["phase"] %= 2 * np.pi

@@ -11,7 +11,7 @@ from scipy.fft import rfft2
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
-from sasmap.ripples.optimise import BLUR, Peak, climb, distinct, scan
+from sasmap.ripples.optimise import BLUR, Peak, climb, distinct, polished, scan
 from sasmap.ripples.phase import (
     STRAIGHT,
     Boxes,
@@ -43,18 +43,22 @@ from sasmap.ripples.settings import RippleSettings, scattering_law
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Expected standard deviation of a sonar's point spread, pixels, besides the bins'.
-POINT_SPREAD = 0.35
+# Expected standard deviation of a sonar's point spread, pixels.
+POINT_SPREAD = 0.5
 # Blur of the first climb over the expected one.
 COARSE, COARSE_ROUNDS = 5.0, 12
 # Rounds in which the trend is told anew, knowing the pulse.
 TREND_ROUNDS = 2
-# Error of the model: relative of the expected intensity, and displacement in pixels, that pixels of a
-# wavelength of range and one of so many parts of phase share (pipelines/ripples/coherent.py).
-MODEL_ERROR, MODEL_SHIFT, ERROR_CELLS = 0.02, 0.25, 16
-# Departure of the log of a scattering law from its family; harmonics of phase in which a group of range
-# may differ from the model, the least standard deviation of each, and rounds in which it is learned.
-LAW_ERROR, ERROR_HARMONICS, HARMONIC_FLOOR, ERROR_ROUNDS = 0.08, 3, 0.005, 2
+# Errors of the model that the pixels of a group of range and one of so many parts of phase share:
+# least relative error of the expected intensity, with straight crests and where a field is followed;
+# displacement in pixels; share of a field's error that the mean over a group keeps
+# (pipelines/ripples/coherent.py).
+MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.25, 0.5, 16
+# Departure of the log of a scattering law from its family at each knot (rough floors have a peak near
+# normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
+LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.08, 0.08, 0.08, 0.1, 0.25, 0.8), 0.015, 2
+# Error of the pulse's second harmonic where crests bend.
+FIELD_HARMONIC = 0.03
 # Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
 NOISE_BOUNDS = (0.5, 50.0)
@@ -166,6 +170,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         published=published,
         shadow=rule,
         law_error=np.zeros(LAW_KNOTS.size),
+        third_harmonic=np.zeros(2),
         fixed=fixed,
         height_mean=h_mean,
         height_sd=h_sd,
@@ -214,79 +219,90 @@ def refined(task: Task, fit: Fit) -> Fit:
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
     factor = noise_factor(image, phase.wave, ratio)
-    shift = MODEL_SHIFT * image.pixel_size * fit.geometry.along
-    weight = bin_weights(fit, factor, shift)
-    data = fit.data._replace(
-        pixel_count=weight * fit.data.pixel_count, intensity_sum=weight * fit.data.intensity_sum
-    )
-    fit = fit._replace(noise_factor=factor, data=data)
+    fit = fit._replace(noise_factor=factor)
+    whole = fit.data
     for _ in range(ERROR_ROUNDS):
+        weight = bin_weights(fit._replace(data=whole), factor, image.pixel_size)
+        data = whole._replace(
+            pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
+        )
+        fit = fit._replace(data=data)
         fit = climbed(fit, with_errors(fit), fit.geometry)
-    return fit
+    rng = np.random.default_rng(0)  # where the peak lies is no matter of chance
+    peaks = [polished(p, fit.data, fit.geometry, rng) for p in fit.peaks]
+    return fit._replace(peaks=distinct(peaks, 2))
 
 
 def with_errors(fit: Fit) -> Histogram:
-    """Add what the model may be wrong by, beyond single bins, to a histogram.
+    """Add what the model may be wrong by in all bins together to a histogram.
 
-    The scattering law's departure from its family, and harmonics of phase in each group of range
-    (height, wavelength, profile and phase that change from place to place), as far as the clip's
-    own misfit tells that there are. They are integrated out to second order.
+    The scattering law's departure from its family, and the crest profile's third harmonic; where a
+    field is followed, that a pulse of crests of many wavelengths and directions is not that of
+    their mean. They are integrated out to second order.
     """
     data, geometry = fit.data, fit.geometry
-    means = expected_at(fit, fit.z)[0]
-    logs = np.log(means)
-    errors, sds = [], []
-    if not geometry.published and np.isnan(geometry.fixed[0]):
-        for k in range(LAW_KNOTS.size):
-            bent_law = np.zeros(LAW_KNOTS.size)
-            bent_law[k] = LAW_ERROR
-            other = fit._replace(geometry=geometry._replace(law_error=bent_law))
-            errors.append((np.log(expected_at(other, fit.z)[0]) - logs) / LAW_ERROR)
-            sds.append(LAW_ERROR)
-    count = data.pixel_count
-    residual = data.intensity_sum / means - count
-    angle = (np.arange(means.shape[1]) + 0.5) * 2 * np.pi / means.shape[1]
-    angle = angle + 2 * np.pi * data.phase_offset
-    inside = data.group == np.arange(data.group.max() + 1)[:, None]
-    for k in range(1, ERROR_HARMONICS + 1):
-        waves = [inside[:, :, None] * np.asarray(f(k * angle)) for f in (np.cos, np.sin)]
-        shapes = np.concatenate(waves)
-        known = np.maximum((shapes**2 * count).sum(axis=(1, 2)), 1e-9)
-        found = (shapes * residual).sum(axis=(1, 2)) / known
-        variance = float(np.average(found**2 - 1 / known, weights=known))
-        errors += list(shapes)
-        sds += [float(np.sqrt(max(variance, HARMONIC_FLOOR**2)))] * len(shapes)
+    others = []
+    if not geometry.published:
+        others = [geometry._replace(third_harmonic=v) for v in THIRD_HARMONIC * np.eye(2)]
+    if np.isnan(geometry.fixed[0]):
+        others += [geometry._replace(law_error=v) for v in np.diag(LAW_ERROR)]
+    logs = np.log(expected_at(fit, fit.z)[0])
+    errors = [np.log(expected_at(fit._replace(geometry=g), fit.z)[0]) - logs for g in others]
+    if not fit.phase.rigid:
+        bins = logs.shape[1]
+        angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
+        errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
+    if not errors:
+        return data
     stack = np.array(errors)
     flat = stack.reshape(len(stack), -1)
-    information = (flat * count.ravel()) @ flat.T
-    gain = np.linalg.inv(information + np.diag(1 / np.array(sds) ** 2))
-    return data._replace(errors=stack, error_gain=gain)
+    information = (flat * data.pixel_count.ravel()) @ flat.T
+    return data._replace(
+        errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack)))
+    )
 
 
-def bin_weights(fit: Fit, noise_factor: float, shift: float) -> FloatArray:
+def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     """What a pixel of each bin is worth (blocks, bins): less than one where the model may err.
 
     A relative error of the expected intensity, and a displacement of the pulse, are shared by the
-    pixels of a wavelength of range and a part of phase. Integrated out, an error of standard
-    deviation s that n pixels share leaves them the weight 1 / (F + n s^2).
+    pixels of a cell: a group of range and a part of phase. Integrated out, an error of standard
+    deviation s that n pixels share leaves them the weight 1 / (F + n s^2). The relative error is
+    what the clip's own misfit shows, and no less than MODEL_ERROR.
 
     Parameters
     ----------
     fit : Fit
+        With a histogram of whole pixels.
     noise_factor : float
         F, variance of the speckle over that of independent pixels.
-    shift : float
-        Standard deviation of the displacement, cycles.
+    pixel_size : float
+        m.
 
     Returns
     -------
     ndarray (blocks, bins)
     """
-    logs = np.log(expected_at(fit, fit.z)[0])
-    slope = 0.5 * logs.shape[1] * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
-    pixels = np.bincount(fit.data.group, fit.data.pixel_count.sum(axis=1))[fit.data.group]
-    variance = MODEL_ERROR**2 + (shift * slope) ** 2
-    return np.asarray(1 / (noise_factor + pixels[:, None] / ERROR_CELLS * variance))
+    data = fit.data
+    means = expected_at(fit, fit.z)[0]
+    bins = means.shape[1]
+    logs = np.log(means)
+    slope = 0.5 * bins * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
+    turn = 0.0 if fit.phase.rigid else FIELD_SHARE * fit.phase.error / (2 * np.pi)
+    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
+    cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
+    cells = (data.group.max() + 1) * ERROR_CELLS
+
+    def total(values: FloatArray) -> FloatArray:
+        return np.bincount(cell.ravel(), values.ravel(), cells)
+
+    pixels = np.maximum(total(data.pixel_count), 1.0)
+    displaced = total(data.pixel_count * (shift * slope) ** 2) / pixels
+    misfit = total(data.intensity_sum / means) / pixels - 1
+    excess = np.average(misfit**2 - noise_factor / pixels - displaced, weights=pixels)
+    error = max(float(excess), MODEL_ERROR**2 if fit.phase.rigid else FIELD_ERROR**2)
+    variance = error + (shift * slope) ** 2
+    return np.asarray(1 / (noise_factor + pixels[cell] * variance))
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:

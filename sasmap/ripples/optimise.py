@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,9 @@ from sasmap.ripples.rendering import (
     contrast_per_slope,
     fill_expected,
     fill_pulses,
+    fill_residuals,
     log_posterior,
+    log_posteriors,
     log_prior,
     parameters_at,
 )
@@ -21,14 +24,17 @@ from sasmap.ripples.rendering import (
 FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
-HEIGHT, NOISE_SLOPE, BLUR = 2, 8, 9
+HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR = 2, 3, 6, 8, 9
 # Heights of the scan: from this slope to the steepest that sand holds.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
-# Laws of the scan, by the coordinate of the exponent.
-LAWS = (-1.3, 0.3, 1.3)
+# Laws and asymmetries of the scan, by their coordinates.
+LAWS, ASYMMETRIES = (-1.3, 0.3, 1.3), (-1.5, 0.0, 1.5)
 # Steps by which derivatives are taken, in sampling coordinates, and largest steps of the scoring.
 STEP, LONGEST = 1e-3, 1.5
-ROUNDS, ENOUGH = 20, 0.02
+# Starts that are climbed from, rounds at most, and the gain at which a climb ends.
+STARTS, ROUNDS, ENOUGH = 5, 20, 0.02
+# Generations, points and parents of a population that climbs on, and its spread over the peak's.
+GENERATIONS, CHILDREN, PARENTS, SPREAD = 10, 40, 10, 0.7
 # Peaks nearer than this in every coordinate are the same.
 SAME = 0.3
 
@@ -63,15 +69,16 @@ def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
 
 
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
-    """Starts for :func:`climb`: the best height for each of a few laws, the likeliest first."""
+    """Starts for :func:`climb`: the best height for each of a few laws and asymmetries."""
     tangent = geometry.altitude_middle / geometry.range_middle
     wave = np.hypot(geometry.along, geometry.across)
     slopes = np.geomspace(LEAST_SLOPE, 0.95, HEIGHTS)
     found = []
-    laws = LAWS if np.isnan(geometry.fixed[0]) else LAWS[:1]
-    for law in laws:
+    laws = LAWS if np.isnan(geometry.fixed[0]) else (0.0,)
+    tilts = ASYMMETRIES if np.isnan(geometry.fixed[3]) else (0.0,)
+    for law, tilt in product(laws, tilts):
         z = np.zeros(COORDINATES)
-        z[3] = law
+        z[LAW], z[ASYMMETRY] = law, tilt
         best, best_level = None, -np.inf
         for height in slopes / (2 * np.pi * wave):
             ripple = parameters_at(z, geometry)
@@ -83,7 +90,7 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
                 best, best_level = z.copy(), level
         if best is not None:
             found.append((best_level, best))
-    return [z for _, z in sorted(found, key=lambda f: -f[0])]
+    return [z for _, z in sorted(found, key=lambda f: -f[0])][:STARTS]
 
 
 def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
@@ -139,6 +146,39 @@ def climb(
     return Peak(z, level, np.linalg.inv(information))
 
 
+def polished(peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Generator) -> Peak:
+    """Climb on by populations: edges of shadow make the likelihood rough on a small scale.
+
+    Each generation is drawn about the mean of the best of the last one (the cross-entropy method:
+    Rubinstein 1999), with the covariance of the peak.
+
+    Parameters
+    ----------
+    peak : Peak
+    data : Histogram
+    geometry : Geometry
+    rng : Generator
+
+    Returns
+    -------
+    Peak
+    """
+    free = free_coordinates(geometry)
+    factor = np.linalg.cholesky(peak.covariance)
+    z, level = peak.z, peak.level
+    centre = z[free]
+    for _ in range(GENERATIONS):
+        points = np.tile(z, (CHILDREN, 1))
+        points[:, free] = centre + SPREAD * rng.standard_normal((CHILDREN, free.size)) @ factor.T
+        levels = log_posteriors(points, data, geometry)
+        best = np.argsort(-levels)[:PARENTS]
+        centre = points[best][:, free].mean(axis=0)
+        if levels[best[0]] > level:
+            z, level = points[best[0]], float(levels[best[0]])
+    _, information = _slope(z, data, geometry, free)
+    return Peak(z, level, np.linalg.inv(information))
+
+
 def distinct(peaks: list[Peak], most: int) -> list[Peak]:
     """Keep the likeliest peaks, each of those that are nearly the same once."""
     kept: list[Peak] = []
@@ -181,6 +221,7 @@ def _slope(
     if len(data.errors):
         errors = data.errors.reshape(len(data.errors), -1)
         shared = (slopes * count) @ errors.T @ data.error_gain
+        fill_residuals(np.exp(here), data, residual)
         gradient -= shared @ (errors @ residual.ravel())
         information -= shared @ ((errors * count) @ slopes.T)
     return gradient, information + np.diag(curvature + 1e-6)

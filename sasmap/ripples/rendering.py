@@ -43,13 +43,13 @@ PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.1), 0.4
 EXPONENT, CONCENTRATION = (1.5, 0.9), (0.4, 0.5)
 LAW_BOUNDS = (-1.0, 5.0)
 # Grazing angles between which a law's departure from the family is linear in the log of the sine.
-LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 60.0]))))
+LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]))))
 # Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and
 # the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
 # taken out under Lambert's law.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
 # Standard deviation of the log of the blur about its expectation.
-BLUR_SD = 0.6
+BLUR_SD = 0.35
 LINE_OF_SIGHT, CREST = 1, 2
 
 
@@ -71,7 +71,7 @@ class Parameters(NamedTuple):
     noise, noise_slope : float
         Noise floor over the clip's mean intensity at mean range, and its power of range.
     blur : float
-        Standard deviation of the image's blur along the look, cycles, besides that of the bins.
+        Standard deviation of the image's blur along the look, cycles.
     altitude_scale : float
         True altitude over that of the navigation.
     """
@@ -148,6 +148,8 @@ class Geometry(NamedTuple):
         LINE_OF_SIGHT or CREST, 0 where no shadow can fall.
     law_error : ndarray (LAW_KNOTS.size,)
         Departure of the log of the scattering law from its family, at the knots.
+    third_harmonic : ndarray (2,)
+        Of the crest profile over A_H, sine and cosine.
     fixed : ndarray (4,)
         Exponent, concentration, peakedness and asymmetry where not estimated; NaN where they are.
     height_mean, height_sd, height_least, height_most : float
@@ -169,6 +171,7 @@ class Geometry(NamedTuple):
     published: bool
     shadow: int
     law_error: FloatArray
+    third_harmonic: FloatArray
     fixed: FloatArray
     height_mean: float
     height_sd: float
@@ -268,7 +271,7 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_profile(peakedness, asymmetry, heights, slopes):  # type: ignore[no-untyped-def]
+def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore[no-untyped-def]
     """Crest profile over A_H, of mean 0, and its derivative by phase, at the middles of facets."""
     n = heights.size
     least, most, mean = np.inf, -np.inf, 0.0
@@ -276,8 +279,10 @@ def fill_profile(peakedness, asymmetry, heights, slopes):  # type: ignore[no-unt
         x = 2.0 * np.pi * (i + 0.5) / n
         c, s = np.cos(x), np.sin(x)
         c2, s2 = c * c - s * s, 2.0 * s * c
-        heights[i] = s - peakedness * c2 - asymmetry * s2
+        c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
+        heights[i] = s - peakedness * c2 - asymmetry * s2 + third[0] * s3 + third[1] * c3
         slopes[i] = c + 2.0 * peakedness * s2 - 2.0 * asymmetry * c2
+        slopes[i] += 3.0 * (third[0] * c3 - third[1] * s3)
         least, most = min(least, heights[i]), max(most, heights[i])
         mean += heights[i] / n
     scale = 2.0 / (most - least)
@@ -370,12 +375,13 @@ def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-de
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_facets(ripple, wave, across, facets):  # type: ignore[no-untyped-def]
+def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
     """Fill heights (m), slopes along the look and areas of a wavelength's facets, rows 0 to 2."""
-    fill_profile(ripple.peakedness, ripple.asymmetry, facets[0], facets[1])
+    third = geometry.third_harmonic
+    fill_profile(ripple.peakedness, ripple.asymmetry, third, facets[0], facets[1])
     steepness = 2.0 * np.pi * ripple.height
     for i in range(facets.shape[1]):
-        along, beside = steepness * wave * facets[1, i], steepness * across * facets[1, i]
+        along, beside = steepness * wave * facets[1, i], steepness * geometry.across * facets[1, i]
         facets[0, i] *= ripple.height
         facets[1, i] = along
         facets[2, i] = np.sqrt(1.0 + along * along + beside * beside)
@@ -424,7 +430,7 @@ def fill_published(ripple, wave, tangent, ground_range, shadow, facets, pulse): 
     """Sum the published intensity a*^2 (ZC 3 and 4) in bins of phase: no area and no lean."""
     n = facets.shape[1]
     unit, derivative, elevation, lit = facets[0], facets[1], facets[3], facets[4]
-    fill_profile(0.0, 0.0, unit, derivative)
+    fill_profile(0.0, 0.0, np.zeros(2), unit, derivative)
     altitude = tangent * ground_range
     lit[:] = 1.0
     if shadow == CREST:
@@ -445,7 +451,9 @@ def fill_published(ripple, wave, tangent, ground_range, shadow, facets, pulse): 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_blur(width, kernel):  # type: ignore[no-untyped-def]
     """Gaussian of a standard deviation in bins, one side with its middle; return how many count."""
-    variance = max(width * width, 1e-3)
+    # deposit and interpolation blur by a sixth of a bin each, as variances
+    rest = width * width - 1.0 / 3.0
+    variance = 0.5 * (rest + np.sqrt(rest * rest + 0.01))
     reach = min(int(4.0 * np.sqrt(variance)) + 1, kernel.size - 1)
     total = 0.0
     for i in range(reach + 1):
@@ -490,7 +498,7 @@ def fill_pulses(ripple, data, geometry, pulses, lags):  # type: ignore[no-untype
     reach = fill_blur(ripple.blur * bins, kernel)
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
-        fill_facets(ripple, wave, geometry.across, facets)
+        fill_facets(ripple, wave, geometry, facets)
     for b in range(blocks):
         distance = data.ground_range[b]
         tangent = data.altitude[b] * ripple.altitude_scale / distance
@@ -605,3 +613,12 @@ def log_posteriors(points, data, geometry):  # type: ignore[no-untyped-def]
     for i in range(values.size):
         values[i] = log_posterior(points[i], data, geometry)
     return values
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def heights_at(points, geometry):  # type: ignore[no-untyped-def]
+    """A_H of sampling coordinates (n, coordinates), m."""
+    heights = np.empty(points.shape[0])
+    for i in range(heights.size):
+        heights[i] = parameters_at(points[i], geometry).height
+    return heights
