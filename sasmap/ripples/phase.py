@@ -38,7 +38,7 @@ TREND_ROUNDS = 2
 RANGE_STEPS, RANGE_DEGREE = 24, 2
 # What a field of each stiffness must at least predict, of what straight crests do: a stiffness of
 # parts of a wave takes the pulse's own shape for phase.
-STRAIGHT = np.array([1.12, 1.04, 1.015, 1.01, 1.01, 1.01, 1.01, 1.01])
+STRAIGHT = np.array([1.12, 1.04, 1.015, 1.005, 1.004, 1.003, 1.003, 1.003])
 # Local amplitude, over that of the clip's rippled part, of places without ripples.
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
