@@ -71,7 +71,9 @@ def main() -> None:
     parser.add_argument("--shadow", choices=("crest", "line-of-sight"), default="crest")
     options = parser.parse_args()
     bounds = {"frequency": (0, 1), "height": (0, 1)} if options.method == "zare-cobb" else {}
-    settings = RippleSettings(method=options.method, shadow=options.shadow, **bounds)
+    settings = RippleSettings(
+        method=options.method, shadow=options.shadow, scattering="zare-cobb", **bounds
+    )
     print(f"method {options.method}, shadow {options.shadow}, {options.clips} clips an entry")
     print("   range (m)    f   A_H |  MSE f  (printed) | MSE A_H (printed) | good  s/clip")
     for near, far, frequency, height, printed_f, printed_height in ENTRIES:

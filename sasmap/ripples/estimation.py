@@ -41,6 +41,8 @@ BURN_IN, INDEPENDENT, ROUND = 300, 0.2, 300
 # Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
 # (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
+# Largest noise factor that correlated speckle makes, and error of log A_H for each power of e beyond.
+SPECKLE, MISFIT = 4.0, 0.15
 # Log posterior below the best peak's at which another counts for nothing.
 NEGLIGIBLE = 15.0
 # Draws from which the lag's slope over range is learned.
@@ -134,7 +136,7 @@ def _default(
         quality = _why_not(image, found, waves, settings)
         return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
     task = Task(image, settings, prior, clip.altitude_sd)
-    fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.peaks[0].level)
+    fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.explained)
     points, acceptance, done = _sampled(fit, settings, rng)
     draws = _labelled(points, fit, image, rng)
     image_of = modelled(clip, image, fit, points) if settings.keep_model else None
@@ -249,13 +251,23 @@ def _labelled(
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
     along = fit.geometry.along + named.pop("wave_offset")
-    if not fit.phase.rigid:  # what the image does not tell is drawn from its prior
+    if not fit.phase.rigid:
         along = along + sd[0] * rng.standard_normal(shape) + _lag_slopes(points, fit)
-        named["height"] = named["height"] * np.exp(FIELD_HEIGHT * rng.standard_normal(shape))
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     azimuth -= 180.0 * np.floor(azimuth.mean() / 180.0)
+    named["height"] = named["height"] * np.exp(_height_error(fit) * rng.standard_normal(shape))
     named["phase"] %= 2 * np.pi
     return dataset({"frequency": np.hypot(along, across), "azimuth": azimuth, **named})
+
+
+def _height_error(fit: Fit) -> float:
+    """Error of log A_H that the image does not tell: it is drawn from its prior.
+
+    The pulse is that of straight crests of the mean wavelength; and an image that varies more than
+    speckle does holds something that the model lacks.
+    """
+    error = 0.0 if fit.phase.rigid else FIELD_HEIGHT
+    return float(np.hypot(error, MISFIT * max(np.log(fit.noise_factor / SPECKLE), 0.0)))
 
 
 def _lag_slopes(points: FloatArray, fit: Fit) -> FloatArray:

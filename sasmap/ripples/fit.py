@@ -80,6 +80,8 @@ class Fit(NamedTuple):
         The likeliest first.
     noise_factor : float
         Variance of the speckle over that of independent pixels.
+    explained : float
+        Log likelihood of the likeliest ripple over that of a flat sea floor, speckle independent.
     """
 
     phase: PhaseField
@@ -88,6 +90,7 @@ class Fit(NamedTuple):
     geometry: Geometry
     peaks: list[Peak]
     noise_factor: float = 1.0
+    explained: float = 0.0
 
     @property
     def z(self) -> FloatArray:
@@ -219,7 +222,7 @@ def refined(task: Task, fit: Fit) -> Fit:
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
     factor = noise_factor(image, phase.wave, ratio)
-    fit = fit._replace(noise_factor=factor)
+    fit = fit._replace(noise_factor=factor, explained=explained(fit))
     whole = fit.data
     for _ in range(ERROR_ROUNDS):
         weight = bin_weights(fit._replace(data=whole), factor, image.pixel_size)
@@ -231,6 +234,19 @@ def refined(task: Task, fit: Fit) -> Fit:
     rng = np.random.default_rng(0)  # where the peak lies is no matter of chance
     peaks = [polished(p, fit.data, fit.geometry, rng) for p in fit.peaks]
     return fit._replace(peaks=distinct(peaks, 2))
+
+
+def explained(fit: Fit) -> float:
+    """Log likelihood of a fit over that of a flat sea floor of the same gains."""
+    data = fit.data
+    means = expected_at(fit, fit.z)[0]
+    count, total = (
+        np.bincount(data.group, v.sum(axis=1))[data.group][:, None]
+        for v in (data.pixel_count, data.intensity_sum)
+    )
+    flat = total / count
+    gain = data.pixel_count * np.log(flat / means)
+    return float((gain + data.intensity_sum * (1 / flat - 1 / means)).sum())
 
 
 def with_errors(fit: Fit) -> Histogram:

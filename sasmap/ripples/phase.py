@@ -2,9 +2,9 @@
 
 The image over its local mean is demodulated at the strongest wave and summed over boxes a sixth of
 a wavelength wide; smoothing those gives the phase of the image's fundamental at every place, forks
-and all (SCIENCE 3 "Real ripples bend, merge and split"). Odd and even squares of boxes are smoothed
-apart and each pixel is folded by the phase that the others tell, so that speckle is not taken for
-phase; the smoothing is the one that predicts the others best.
+and all. Odd and even stripes across the crests are smoothed apart, and each pixel's phase is what the
+others tell, so that speckle is not taken for phase; the smoothing is the one that predicts the
+others best.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BoolArray = NDArray[np.bool_]
 BOXES = 6
 MAX_BOXES = 160
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
-STIFFNESS = (0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
+STIFFNESS = (0.5, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
 TREND_SD = 1.5
 # Rounds of the local trend, each on what the last left: at a clip's edge one alone is off by the
 # trend's slope.
@@ -38,7 +38,7 @@ TREND_ROUNDS = 2
 RANGE_STEPS, RANGE_DEGREE = 24, 2
 # What a field of each stiffness must at least predict, of what straight crests do: a stiffness of
 # parts of a wave takes the pulse's own shape for phase.
-STRAIGHT = np.array([1.12, 1.04, 1.015, 1.005, 1.004, 1.003, 1.003, 1.003])
+STRAIGHT = np.array([1.03, 1.012, 1.004, 1.004, 1.003, 1.003, 1.003])
 # Local amplitude, over that of the clip's rippled part, of places without ripples.
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
@@ -69,6 +69,8 @@ class Boxes:
         In boxes.
     variance : float
         Of intensity over trend.
+    stripes : ndarray (2,)
+        Stripes across the crests a column and a row.
     """
 
     wave: FloatArray
@@ -78,6 +80,7 @@ class Boxes:
     trend: FloatArray
     wavelength: float
     variance: float
+    stripes: FloatArray
 
 
 @dataclass(frozen=True)
@@ -90,10 +93,12 @@ class PhaseField:
         Wave vector (east, north) that the field is relative to, cycles/m.
     rigid : bool
         Whether crests are straight: there is no field.
-    box, tiles : int
-        Pixels a side of a box, and boxes a side of the squares of which odd and even alternate.
+    box : int
+        Pixels a side of a box.
+    stripes : ndarray (2,)
+        Stripes across the crests a column and a row, of which odd and even alternate.
     even, odd, both : ndarray of complex (box rows, box columns)
-        Unit phasors of the field from even boxes, odd ones, and all.
+        Unit phasors of the field from even stripes, odd ones, and all.
     covered : ndarray of bool (box rows, box columns)
         Boxes with ripples.
     origin : float
@@ -115,7 +120,7 @@ class PhaseField:
     wave: FloatArray
     rigid: bool
     box: int
-    tiles: int
+    stripes: FloatArray
     even: ComplexArray
     odd: ComplexArray
     both: ComplexArray
@@ -140,7 +145,7 @@ class PhaseField:
         """Phase of the field at every pixel, cycles; empty where crests are straight."""
         if self.rigid:
             return np.empty((0, 0))
-        return np.asarray(field_cycles(self.even, self.odd, self.box, self.tiles, shape))
+        return np.asarray(field_cycles(self.even, self.odd, self.box, self.stripes, shape))
 
     def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
         """Spread a mask of boxes to the image's pixels."""
@@ -183,7 +188,9 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
     flat = turned[0] / trend - turned[1]
     square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
     variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
-    return Boxes(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6))
+    # stripes a third of a wavelength wide that run across the crests: each sees whole waves
+    stripes = 3 * np.array([-per_row, per_column])
+    return Boxes(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6), stripes)
 
 
 def range_trend(image: Image, size: int) -> FloatArray:
@@ -413,7 +420,7 @@ def straight(image: Image, boxes: Boxes) -> PhaseField:
         boxes.wave,
         True,
         boxes.size,
-        1,
+        boxes.stripes,
         one,
         one,
         one,
@@ -443,14 +450,12 @@ class Bend(NamedTuple):
         Predicted amplitude for each of STIFFNESS, over that of a plane wave.
     even, odd, both : list of ndarray of complex
         The fields, smoothed.
-    tiles : int
     """
 
     scores: FloatArray
     even: list[ComplexArray]
     odd: list[ComplexArray]
     both: list[ComplexArray]
-    tiles: int
 
 
 def bend(boxes: Boxes) -> Bend:
@@ -465,9 +470,9 @@ def bend(boxes: Boxes) -> Bend:
     -------
     Bend
     """
-    tiles = max(round(boxes.wavelength / 3), 1)
-    row, column = np.indices(boxes.count.shape) // tiles
-    even = (row + column) % 2 == 0
+    stripes = boxes.stripes
+    row, column = (np.indices(boxes.count.shape) + 0.5) * boxes.size
+    even = np.floor(stripes[0] * column + stripes[1] * row) % 2 == 0
     whole = abs(boxes.turned.sum())
     scores, fields = [], []
     for stiffness in STIFFNESS:
@@ -482,7 +487,6 @@ def bend(boxes: Boxes) -> Bend:
         [f for f, _ in fields],
         [s for _, s in fields],
         [f + s for f, s in fields],
-        tiles,
     )
 
 
@@ -504,20 +508,20 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
     -------
     PhaseField
     """
-    best = int(np.argmax(found.scores))
+    best = int(np.argmax(found.scores / STRAIGHT))
     even, odd, both = (f[best] for f in (found.even, found.odd, found.both))
     covered, fraction = covered_boxes(image, boxes)
     weight = np.where(covered, boxes.count, 0.0)
     product = even * np.conj(odd)
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
-    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.08, 1.2))
+    smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.05, 1.2))
     mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear)
     field = _unit(both)
     return PhaseField(
         boxes.wave,
         False,
         boxes.size,
-        found.tiles,
+        boxes.stripes,
         _unit(even),
         _unit(odd),
         field,

@@ -86,14 +86,14 @@ def between(field, low_row, down, low_column, right):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def field_cycles(even, odd, box, tiles, shape):  # type: ignore[no-untyped-def]
-    """Phase of a field at every pixel, cycles, by the boxes of the other parity."""
+def field_cycles(even, odd, box, stripes, shape):  # type: ignore[no-untyped-def]
+    """Phase of a field at every pixel, cycles, by the stripes of the other parity."""
     result = np.empty(shape)
     for i in range(shape[0]):
         low_row, down = box_place(i, box, even.shape[0])
         for j in range(shape[1]):
             low_column, right = box_place(j, box, even.shape[1])
-            if (i // (box * tiles) + j // (box * tiles)) % 2 == 0:
+            if np.floor(stripes[0] * (j + 0.5) + stripes[1] * (i + 0.5)) % 2.0 == 0.0:
                 z = between(odd, low_row, down, low_column, right)
             else:
                 z = between(even, low_row, down, low_column, right)
