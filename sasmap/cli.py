@@ -35,8 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.call(options))
     except InputError as error:
         for fault in error.faults:
-            readable = fault.encode("utf-8", "backslashreplace").decode()
-            print(f"sasmap: {readable}", file=sys.stderr)
+            print(f"sasmap: {_readable(fault)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("sasmap: interrupted; run again to go on from here", file=sys.stderr)
@@ -117,17 +116,39 @@ def _run(options: argparse.Namespace) -> int:
     if not options.quiet:
         for line in summary_lines(outcome):
             print(line)
+    _repeat(outcome.warnings)
     return INCOMPLETE if outcome.failures else COMPLETE
+
+
+def _repeat(warnings: Sequence[str]) -> None:
+    """Say warnings once more at the end, where nobody scrolls past them."""
+    if not warnings:
+        return
+    count = len(warnings)
+    print(
+        f"sasmap: {count} warning{'s' if count > 1 else ''}: results may be wrong until "
+        f"{'these are' if count > 1 else 'this is'} looked at:",
+        file=sys.stderr,
+    )
+    for line in warnings:
+        print(f"sasmap: WARNING: {_readable(line)}", file=sys.stderr)
+
+
+def _readable(line: str) -> str:
+    """Return a line that any terminal can show."""
+    return line.encode("utf-8", "backslashreplace").decode()
 
 
 def _plan(options: argparse.Namespace) -> int:
     from sasmap.estimates import check_fits, describe_cost
     from sasmap.plan import describe, make_plan
 
+    _log(quiet=False)
     plan = make_plan(load_survey(options.survey))
     for line in (*describe(plan), *describe_cost(plan, options.workers)):
         print(line)
     check_fits(plan, options.workers)
+    _repeat(plan.opened.warnings)
     return COMPLETE
 
 

@@ -18,7 +18,7 @@ from sasmap.survey.cells import Cell
 from sasmap.survey.opening import OpenSurvey, check_kept, open_survey
 from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
 from sasmap.survey.tiles import Tile, hash_file
-from sasmap.survey.training import Training, read_training
+from sasmap.survey.training import Training, check_shown, read_training
 
 
 class Look(NamedTuple):
@@ -134,6 +134,7 @@ def make_plan(survey: Survey) -> Plan:
     if not cells:
         raise InputError(f"{survey.path}: area, exclude: they leave no cell of the survey")
     training = read_training(survey, opened.grid)
+    check_shown(training, opened.passes, opened.grid)
     files = {f for p in opened.passes for f in p.files} | {t.path for t in training}
     files |= set(opened.polygon_files)
     model = None
@@ -204,5 +205,3 @@ def describe(plan: Plan) -> Iterable[str]:
     yield "looks a cell: " + ", ".join(f"{n} at {shown[n]} cells" for n in sorted(shown))
     for line in plan.left_out:
         yield f"left out: {line}"
-    for line in plan.opened.warnings:
-        yield f"warning: {line}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ from sasmap.survey.tiles import Tile, find_tiles, inspect_tile
 from sasmap.threads import mapped
 
 T = TypeVar("T")
+
+log = logging.getLogger("sasmap")
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,7 @@ def open_survey(survey: Survey) -> OpenSurvey:
     crs = _product_crs(survey, [tile for part in tiles for tile in part])
     grid = lay_grid([tile for part in tiles for tile in part], crs, survey.window)
     warnings: list[str] = []
+    log.info("checking %d tiles and %d navigation files", sum(map(len, tiles)), len(tiles))
     tiles = [_look_into(part, warnings, faults) for part in tiles]
     area = faults.gather(lambda: _polygons(survey, "area", grid, warnings))
     excluded = faults.gather(lambda: _polygons(survey, "exclude", grid, warnings))

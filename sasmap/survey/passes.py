@@ -11,6 +11,7 @@ import numpy as np
 import pyproj
 import shapely
 import xarray as xr
+from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from sasmap.survey.cells import Cell, CellGrid
@@ -301,6 +302,15 @@ def _pixel_size(tile: Tile, lattice: Lattice) -> float:
     return float(abs(lattice.transform.a)) if tile.geographic else tile.pixel_size
 
 
+def _span(valid: NDArray[np.bool_]) -> slice:
+    """From the first to the last valid row or column; two at least, which tell the lattice."""
+    at = np.flatnonzero(valid)
+    first, last = int(at[0]), int(at[-1])
+    if first == last and valid.size > 1:
+        first, last = (first, last + 1) if last + 1 < valid.size else (first - 1, last)
+    return slice(first, last + 1)
+
+
 def _cut(
     amplitude: Amplitude,
     seen: dict[str, Any],
@@ -309,8 +319,7 @@ def _cut(
     sonar_pass: SonarPass,
     pixel_size: float,
 ) -> xr.DataArray:
-    rows, columns = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    box = _span(valid.any(axis=1)), _span(valid.any(axis=0))
     amplitude[~valid] = np.nan
     coordinates = {key: (("y", "x"), value[box]) for key, value in seen.items()}
     clip = _array(amplitude[box], coordinates, crs, sonar_pass)

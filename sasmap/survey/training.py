@@ -14,8 +14,18 @@ from shapely.geometry.base import BaseGeometry
 
 from sasmap.config import ClassSettings, Survey
 from sasmap.errors import InputError
+from sasmap.sediments.segmentation import LEAST_SAMPLES, noise_factor
+from sasmap.sediments.trends import Look
 from sasmap.survey.cells import Cell, CellGrid
+from sasmap.survey.lattice import Window, bounding_window, transform_points
+from sasmap.survey.passes import SonarPass, view
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
+from sasmap.survey.tiles import Tile, read_tile
+
+# Pixels a side of the pieces in which training is counted.
+CHUNK = 512
+# Half the side of the piece that tells how speckle is correlated, pixels.
+MIDDLE = 64
 
 
 class Training(NamedTuple):
@@ -79,6 +89,81 @@ def _read(path: Path, settings: ClassSettings, grid: CellGrid) -> Training:
     if not on_tiles(area, grid):
         raise InputError(f"{path}: no polygon of it lies on the survey's tiles")
     return Training(settings.name, path, area)
+
+
+def check_shown(
+    training: tuple[Training, ...], passes: tuple[SonarPass, ...], grid: CellGrid
+) -> None:
+    """Check that the tiles show enough of each class, before hours of other work.
+
+    Parameters
+    ----------
+    training : tuple of Training
+    passes : tuple of SonarPass
+    grid : CellGrid
+
+    Raises
+    ------
+    InputError
+        With a line for each class of which too few valid pixels are shown.
+    """
+    faults: list[str] = []
+    if not training:
+        return
+    needed = int(np.ceil(LEAST_SAMPLES * _pixels_a_sample(passes)))
+    for one in training:
+        shown = 0
+        for sonar_pass in passes:
+            for tile in sonar_pass.tiles:
+                if shown < needed:
+                    shown += _shown(one.area, sonar_pass, tile, grid.crs, needed)
+        if shown < needed:
+            faults.append(
+                f"{one.path}: class {one.name!r}: the tiles show {shown} pixels of its polygons: "
+                f"expected at least {needed}; draw larger ones, on pixels that are seen"
+            )
+    if faults:
+        raise InputError(faults)
+
+
+def _pixels_a_sample(passes: tuple[SonarPass, ...]) -> float:
+    """Pixels to one independent sample, from the middle of each pass's first tile."""
+    looks = []
+    for sonar_pass in passes:
+        tile = sonar_pass.tiles[0]
+        row, column = tile.window.height // 2, tile.window.width // 2
+        middle = Window(row - MIDDLE, column - MIDDLE, 2 * MIDDLE, 2 * MIDDLE)
+        try:
+            part = np.asarray(read_tile(tile, middle.intersect(tile.window)), float)
+        except OSError:
+            continue
+        if np.isfinite(part).any():
+            looks.append(Look(part, np.full_like(part, np.nan)))
+    return noise_factor(looks) if looks else 1.0
+
+
+def _shown(area: BaseGeometry, sonar_pass: SonarPass, tile: Tile, crs: str, needed: int) -> int:
+    """Count a tile's valid pixels in an area, no further than are needed."""
+    x, y = shapely.get_coordinates(area.envelope).T
+    box = bounding_window(*tile.lattice.pixel_of(*transform_points(crs, tile.lattice.crs, x, y)))
+    box = box.intersect(tile.window)
+    shapely.prepare(area)
+    count = 0
+    for row in range(box.row, box.row + box.height, CHUNK):
+        for column in range(box.column, box.column + box.width, CHUNK):
+            part = Window(row, column, CHUNK, CHUNK).intersect(box)
+            try:
+                valid = np.isfinite(read_tile(tile, part))
+            except OSError:
+                continue  # an undecodable block fails its cells, not the survey
+            if valid.any():
+                seen = view(sonar_pass, crs, tile.lattice, part)
+                floor = seen.get("ground_x", seen["x"]), seen.get("ground_y", seen["y"])
+                valid &= np.isfinite(seen["ground_range"]) & shapely.contains_xy(area, *floor)
+                count += int(valid.sum())
+            if count >= needed:
+                return count
+    return count
 
 
 def cells_shown(training: tuple[Training, ...], grid: CellGrid) -> list[Cell]:
