@@ -310,7 +310,7 @@ def _name(kind: Kind) -> str:
 
 
 # JPEG: coefficients of 8 x 8 blocks are multiples of a step, most of them zero. Ratio of those that
-# are zero at the blocks' own offset to those at others (speckle at most 2, quality 95 at least 5.7),
+# are zero at the blocks' own offset to those at others (speckle at most 2, quality 95 at least 6),
 # and how many standard deviations of the count that must be (at most 10, at least 46).
 JPEG_SIDE, JPEG_RATIO, JPEG_SIGMAS = 8, 3.5, 20.0
 # Coefficients nearer to zero than rounding to whole grey levels makes them (sd 0.29), and spread

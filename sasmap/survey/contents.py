@@ -38,7 +38,9 @@ def look_into(tile: Tile) -> tuple[Tile, list[str], list[str]]:
     warnings = list(unread(tile.path, tile.lattice.transform))
     faults: list[str] = []
     try:
-        with rasterio.Env(**GDAL_OPTIONS), rasterio.open(tile.path, driver="GTiff") as source:
+        # the whole tile is read: its blocks are decoded by all cores
+        options = {**GDAL_OPTIONS, "GDAL_NUM_THREADS": "ALL_CPUS"}
+        with rasterio.Env(**options), rasterio.open(tile.path, driver="GTiff") as source:
             tile = replace(tile, fill=find_fill(source))
             if source.compression is not None and "JPEG" in source.compression.name.upper():
                 warnings.append(

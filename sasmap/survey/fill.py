@@ -72,6 +72,8 @@ def find_fill(source: rasterio.DatasetReader) -> tuple[Fill, ...]:
     tuple of Fill
         One for each value.
     """
+    if not _edge_alike(source):
+        return ()
     value, alike = _block_map(source)
     found = []
     for candidate in _edge_values(value, alike):
@@ -86,23 +88,50 @@ def find_fill(source: rasterio.DatasetReader) -> tuple[Fill, ...]:
     return tuple(found)
 
 
+def _edge_alike(source: rasterio.DatasetReader) -> bool:
+    """Whether there can be fill: a quick look at the edge of a file that lies in tiles.
+
+    One that lies in strips has to be read whole for its sides.
+    """
+    if source.block_shapes[0][1] >= source.width:
+        return True
+    height, width = source.height, source.width
+    bottom, right = ((n - 1) // BLOCK * BLOCK for n in (height, width))
+    edges = ((0, 0, BLOCK, width), (bottom, 0, height - bottom, width),
+             (0, 0, height, BLOCK), (0, right, height, width - right))  # fmt: skip
+    count = 0
+    for row, column, rows, columns in edges:
+        try:
+            _, alike = _read_alike(source, rasterio.windows.Window(column, row, columns, rows))
+        except rasterio.errors.RasterioError:
+            continue
+        count += int(alike.sum())
+    return count * BLOCK >= min(LEAST_CONTACT, LEAST_FRACTION * min(height, width))
+
+
 def _block_map(source: rasterio.DatasetReader) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """First value of each block, and whether the block holds no other."""
     shape = -(-source.height // BLOCK), -(-source.width // BLOCK)
     value, alike = np.full(shape, np.nan), np.zeros(shape, bool)
-    # GMF_ALL_VALID is told by every file without a mask, and nodata is compared by value
-    flags = source.mask_flag_enums[0]
-    masked = not {rasterio.enums.MaskFlags.all_valid, rasterio.enums.MaskFlags.nodata} & set(flags)
     for top, height in _bands(source):
         window = rasterio.windows.Window(0, top, source.width, height)
+        rows = slice(top // BLOCK, top // BLOCK + -(-height // BLOCK))
         try:
-            raw = source.read(1, window=window)
-            mask = source.read_masks(1, window=window) if masked else None
+            value[rows], alike[rows] = _read_alike(source, window)
         except rasterio.errors.RasterioError:
             continue  # an undecodable block fails its cells, not the survey
-        rows = slice(top // BLOCK, top // BLOCK + -(-height // BLOCK))
-        value[rows], alike[rows] = _alike(raw, mask)
     return value, alike
+
+
+def _read_alike(
+    source: rasterio.DatasetReader, window: rasterio.windows.Window
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Read a window; its blocks' first values, and whether they hold no other."""
+    # all_valid is told by every file without a mask, and nodata is compared by value
+    flags = source.mask_flag_enums[0]
+    masked = not {rasterio.enums.MaskFlags.all_valid, rasterio.enums.MaskFlags.nodata} & set(flags)
+    raw = source.read(1, window=window)
+    return _alike(raw, source.read_masks(1, window=window) if masked else None)
 
 
 def _bands(source: rasterio.DatasetReader) -> Iterator[tuple[int, int]]:
