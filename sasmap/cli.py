@@ -83,6 +83,18 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
     simulate.set_defaults(call=_simulate)
 
+    tiles = verbs.add_parser(
+        "tiles",
+        help="turn a raw recording into tiles, navigation and a survey file",
+        description="Turn a raw recording (XTF; extra raw) into ground-range tiles, navigation and "
+        "a survey file. Example: sasmap tiles LINE.xtf --output line",
+    )
+    tiles.add_argument("recording", type=Path, help="XTF file")
+    tiles.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
+    tiles.add_argument("--crs", help="CRS of its positions, where they are in metres")
+    tiles.add_argument("--pixel", type=_metres, metavar="M", help="pixel size, m")
+    tiles.set_defaults(call=_tiles)
+
     schema = verbs.add_parser("schema", help="print the JSON Schema of survey.yaml")
     schema.set_defaults(call=_schema)
     return parser
@@ -95,6 +107,16 @@ def _positive(text: str) -> int:
         value = 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
+    return value
+
+
+def _metres(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1e-3 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"expected metres from 0.001 to 100, got {text!r}")
     return value
 
 
@@ -157,6 +179,15 @@ def _simulate(options: argparse.Namespace) -> int:
 
     written = simulate(load_scene(options.scene), options.output)
     print(f"{len(written)} files in {options.output}")
+    return COMPLETE
+
+
+def _tiles(options: argparse.Namespace) -> int:
+    from sasmap.raw import make_tiles
+
+    written, warnings = make_tiles(options.recording, options.output, options.crs, options.pixel)
+    print(f"{len(written)} files in {options.output}; next: sasmap run {written[-1]}")
+    _repeat(warnings)
     return COMPLETE
 
 

@@ -106,7 +106,7 @@ def _edge_alike(source: rasterio.DatasetReader) -> bool:
         except rasterio.errors.RasterioError:
             continue
         count += int(alike.sum())
-    return count * BLOCK >= min(LEAST_CONTACT, LEAST_FRACTION * min(height, width))
+    return bool(count * BLOCK >= min(LEAST_CONTACT, LEAST_FRACTION * min(height, width)))
 
 
 def _block_map(source: rasterio.DatasetReader) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
