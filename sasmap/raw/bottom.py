@@ -16,6 +16,8 @@ PINGS, SAMPLES = 5, 5
 PULSE, DEEPEST = 0.02, 0.8
 # Samples to either side over which the step is taken.
 REACH = 12
+# Share of the rise from water to floor at which the floor begins.
+RISEN = 0.08
 # Samples that the bottom may move from one ping to the next, and pings of its final median.
 STRIDE, MEDIAN = 3, 9
 
@@ -33,8 +35,9 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
     Returns
     -------
     ndarray (pings,)
-        Altitude, m. The path through all pings along which amplitude steps up most, found by
-        dynamic programming; the step is that of the mean logarithm before and after.
+        Altitude, m. The path through all pings along which amplitude steps up most (of the mean
+        logarithm before and after), found by dynamic programming, and from there back to where
+        amplitude begins to rise: a sonar that looks aside hears the floor straight below weakly.
     """
     length = min(s.shape[1] for s in samples)
     stacked = np.mean([np.log1p(s[:, :length].astype(float)) for s in samples], axis=0)
@@ -44,9 +47,20 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
     at = np.arange(first, max(last, first + 1)).clip(max=length - REACH - 1)
     before = (total[:, at - 1] - total[:, at - REACH - 1]) / REACH
     after = (total[:, at + REACH - 1] - total[:, at - 1]) / REACH
-    path = at[_best_path(after - before)]
+    path = _onset(level, at[_best_path(after - before)], first)
     smooth = scipy.ndimage.median_filter(path.astype(float), MEDIAN, mode="nearest")
     return np.asarray(smooth * spacing, float)
+
+
+def _onset(level: FloatArray, path: NDArray[np.int64], first: int) -> NDArray[np.int64]:
+    """Last sample before the step that is hardly above the water column."""
+    onset = path.copy()
+    for k, step in enumerate(path):
+        water = float(np.median(level[k, first : max(step - REACH, first + 1)]))
+        top = float(level[k, min(step + REACH, level.shape[1] - 1)])
+        quiet = np.flatnonzero(level[k, first : step + 1] < water + RISEN * (top - water))
+        onset[k] = first + quiet[-1] if quiet.size else step
+    return onset
 
 
 def _best_path(score: FloatArray) -> NDArray[np.int64]:

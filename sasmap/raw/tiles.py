@@ -33,7 +33,7 @@ MOST_MISSING = 0.1
 # Pixel sizes that people use: the finest not under the spacing of samples is taken.
 SIZES = tuple(m * 10.0**e for e in (-3, -2, -1, 0) for m in (1, 2, 2.5, 5))
 # Standard deviation of altitude as recorded, and from the water column, m, for the survey file.
-RECORDED_SD, FOUND_SD = 0.05, 0.1
+RECORDED_SD, FOUND_SD = 0.05, 0.3
 
 
 class Line(NamedTuple):

@@ -147,7 +147,9 @@ def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
     away = np.hypot(x - _median(x), y - _median(y))
     step = np.hypot(np.diff(x), np.diff(y))
     spacing = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    bad = away > max(SPACINGS * spacing, SIGMAS * TO_SD * float(np.median(away)))
+    limit = max(SPACINGS * spacing, SIGMAS * TO_SD * float(np.median(away)))
+    # the last ping of a line leaves the median of those around it, but not of those before it
+    bad = (away > limit) & (np.minimum(*_from_either_side(x, y)) > limit)
     if bad.any():
         at = np.flatnonzero(bad)
         told = (
@@ -195,6 +197,23 @@ def _median(values: FloatArray) -> FloatArray:
     return np.asarray(
         np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1), float
     )
+
+
+def _from_either_side(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance of each ping from where those before it, and those after it, lead; inf at ends."""
+    width = 2 * HALF + 1
+    place = np.arange(width)
+    ahead, behind = [], []
+    for values in (x, y):
+        windows = np.lib.stride_tricks.sliding_window_view(values, width)
+        slope = np.median(np.diff(windows, axis=1), axis=1)
+        level = np.median(windows - slope[:, None] * place, axis=1)
+        ahead.append((level + slope * width)[:-1])
+        behind.append((level - slope)[1:])
+    before, after = np.full(x.size, np.inf), np.full(x.size, np.inf)
+    before[width:] = np.hypot(x[width:] - ahead[0], y[width:] - ahead[1])
+    after[:-width] = np.hypot(x[:-width] - behind[0], y[:-width] - behind[1])
+    return before, after
 
 
 def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
