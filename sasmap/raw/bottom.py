@@ -48,6 +48,8 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
     before = (total[:, at - 1] - total[:, at - REACH - 1]) / REACH
     after = (total[:, at + REACH - 1] - total[:, at - 1]) / REACH
     path = _onset(level, at[_best_path(after - before)], first)
+    # the last quiet sample's average holds no floor yet
+    path = path + SAMPLES // 2 + 1
     smooth = scipy.ndimage.median_filter(path.astype(float), MEDIAN, mode="nearest")
     return np.asarray(smooth * spacing, float)
 
