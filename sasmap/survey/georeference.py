@@ -33,10 +33,7 @@ def checked_crs(path: Path, source: rasterio.DatasetReader, geographic: bool) ->
     if source.gcps[0]:
         raise InputError(_control_points(path, source))
     if source.crs is None:
-        raise InputError(
-            f"{path}: no CRS: expected a tile georeferenced in a projected CRS; set what it is in, "
-            f"for example gdal_edit.py -a_srs EPSG:32617 {path.name}"
-        )
+        raise InputError(_no_crs(path))
     crs = _parsed(path, source)
     _check_kind(path, crs)
     _check_transform(path, source)
@@ -46,6 +43,17 @@ def checked_crs(path: Path, source: rasterio.DatasetReader, geographic: bool) ->
             f"example crs: {_utm_of(source)}, and its pixels are laid at their nearest place"
         )
     return str(crs.to_wkt())
+
+
+def _no_crs(path: Path) -> str:
+    start = f"{path}: no CRS: expected a tile georeferenced in a projected CRS"
+    files = [file.name for file in beside(path, (*WORLD_FILES, ".aux.xml", ".prj"))]
+    if files:
+        return (
+            f"{start}; {' and '.join(files)} beside it is not read: bake it in: gdal_translate "
+            f"-a_srs EPSG:32617 {path.name} placed.tif (with its own CRS)"
+        )
+    return f"{start}; set what it is in, for example gdal_edit.py -a_srs EPSG:32617 {path.name}"
 
 
 def _parsed(path: Path, source: rasterio.DatasetReader) -> pyproj.CRS:

@@ -281,7 +281,9 @@ def read_navigation(
     InputError
         Where the file, a column, or a number is missing or impossible; names the row.
     """
-    given: dict[str, str] = {key: name.strip().lower() for key, name in (columns or {}).items()}
+    given: dict[str, str] = {
+        key: " ".join(name.lower().split()) for key, name in (columns or {}).items()
+    }
     table = read_table(path, frozenset({given.get("altitude", "altitude")}))
     names, source = _position_columns(table, given, navigation_crs, tile_crs)
     values = [table.numbers(given.get(name, name)) for name in names]
@@ -302,7 +304,7 @@ def _position_columns(
     table: Table, given: Mapping[str, str], navigation_crs: str | None, tile_crs: str
 ) -> tuple[tuple[str, str], str]:
     """Which columns are positions, and their CRS."""
-    path, header = table.path, set(table.header)
+    path, header = table.path, {*table.header, *table.full}
     lacking = sorted(name for name in given.values() if name not in header)
     if lacking:
         raise InputError(

@@ -22,8 +22,9 @@ POINTS = 64
 # this grazing angle, which few sonars go below: a range of 19 altitudes.
 SHARE, USUAL_GRAZING = 0.9, np.radians(3.0)
 # Grazing angle of a pass's farthest pixel above which altitude is no altitude, and above which it
-# is doubtful: side-looking sonars see far beyond their altitude.
-STEEPEST, STEEP = np.radians(72.0), np.radians(45.0)
+# is doubtful: side-looking sonars see far beyond their altitude, and what is nearer than one and a
+# half of it is cut off as a rule (altitude in feet beside ranges in metres gives 39 degrees).
+STEEPEST, STEEP = np.radians(72.0), np.radians(35.0)
 # Grazing angle of its nearest pixel below which altitude is doubtful.
 LOW = np.radians(2.0)
 # Pixels that are read at once where a valid one is looked for.
@@ -166,7 +167,8 @@ def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None
         )
     if farthest > STEEP:
         warnings.append(
-            f"{start}farthest pixel is nearer than that to the track: {advice}; check it"
+            f"{start}farthest pixel is only {middle / np.tan(farthest):.3g} m from the track: "
+            f"{advice} (not its depth, or feet); check it"
         )
     if nearest < LOW:
         warnings.append(

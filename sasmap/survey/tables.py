@@ -42,6 +42,8 @@ class Table:
     path : Path
     header : list of str
         Names, lower case, without units.
+    full : list of str
+        Names, lower case, as they stand there.
     units : list of str
         What stood in brackets after each name.
     head_row : int
@@ -54,6 +56,7 @@ class Table:
 
     path: Path
     header: list[str]
+    full: list[str]
     units: list[str]
     head_row: int
     rows: list[int]
@@ -66,6 +69,7 @@ class Table:
         Parameters
         ----------
         name : str
+            Lower case, with or without its unit.
         gaps : bool
             Whether cells may be empty, which become NaN.
 
@@ -89,7 +93,8 @@ class Table:
         return values
 
     def _place(self, name: str) -> int:
-        places = [k for k, known in enumerate(self.header) if known == name]
+        places = [k for k, known in enumerate(self.full) if known == name]
+        places = places or [k for k, known in enumerate(self.header) if known == name]
         if len(places) > 1:
             raise InputError(
                 f"{self.path}: row {self.head_row}: {len(places)} columns named {name!r}: "
@@ -148,7 +153,9 @@ def read_table(path: Path, wanted: frozenset[str]) -> Table:
         raise InputError(f"{path}: expected at least two pings, got {len(body)}")
     cells = _cells(path, body, mark, len(names))
     header, units = zip(*(_name_and_unit(name) for name in names), strict=True)
-    return Table(path, list(header), list(units), head_row, [k for k, _ in body], cells, mark)
+    full = [" ".join(name.lower().split()) for name in names]
+    rows = [row for row, _ in body]
+    return Table(path, list(header), full, list(units), head_row, rows, cells, mark)
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -204,6 +211,10 @@ def _split(line: str, mark: str) -> list[str]:
 
 def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd.DataFrame:
     """Cells of all rows as text; one column more than the header catches what is surplus."""
+    for row, line in body:
+        # quoted marks are no cells; the rare line that holds both is counted in full
+        if line.count(mark) > width and (found := len(_split(line, mark))) > width + 1:
+            raise InputError(_surplus(path, row, found, width))
     text = "\n".join(line for _, line in body)
     try:
         cells = pd.read_csv(
@@ -216,12 +227,9 @@ def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd
             keep_default_na=False,
             skipinitialspace=True,
             skip_blank_lines=False,
+            on_bad_lines="error",
         )
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
-        line = re.search(r"Expected \d+ fields in line (\d+), saw (\d+)", str(error))
-        if line is not None and int(line[1]) <= len(body):
-            row = body[int(line[1]) - 1][0]
-            raise InputError(_surplus(path, row, int(line[2]), width)) from None
         raise InputError(f"{path}: expected a CSV text file: {_short(error)}") from None
     if len(cells) != len(body):
         raise InputError(f"{path}: expected one line a row: a quoted cell spans lines")

@@ -1,7 +1,8 @@
 """Surveys as surveyors have them: what is odd is read rightly, named, or refused with a remedy.
 
 Each entry stands for a kind. Answers: ``same``, the clean survey's pixels and geometry without a
-word; ``name``, the same run with a warning that holds the words; ``refuse``, one line that does.
+word; ``name``, the same with a warning that holds the words; ``doubt``, a warning, numbers as they
+are; ``refuse``, one line that holds the words.
 """
 
 import io
@@ -262,6 +263,19 @@ KINDS = [
      pings(np.vstack([track(), track(499994.0)]))),
     ("another line far away", "name", ("nav.csv", "2 lines", "rows 2 to 55"),
      pings(np.vstack([track(), FAR_LINE]))),
+    ("named with its unit", "same", (),
+     text(rows_of(track(), head="x,y,Alt (m)"), columns={"altitude": "Alt (m)"})),
+    ("one of two altitudes named", "same", (),
+     text(rows_of(np.column_stack([track(), track()[:, 2] * 3.28]), head="x,y,alt (m),alt (ft)"),
+          columns={"altitude": "alt (m)"})),
+    ("altitude in feet, not said", "doubt", ("nav.csv", "altitude"), pings(track(altitude=16.4))),
+    ("first half last", "refuse", ("rows 2 to",), pings(np.roll(track(), 27, axis=0))),
+    ("spaces and decimal commas", "same", (),
+     text(rows_of(track(), " ", write=lambda v: f"{v:.3f}".replace(".", ",")))),
+    ("comments among the rows", "same", (),
+     text(rows_of(track()).replace("\n500000.0,3299996.0", "\n# event 7\n500000.0,3299996.0"))),
+    ("world file and no CRS", "refuse", ("a.tfw", "-a_srs"),
+     lambda f: (f.tile(crs=None, transform=None), (f.path / "t/a.tfw").write_text("1\n"))),
     ("unknown column named", "refuse", ("nav.csv", "'depth'"),
      text(rows_of(track()), columns={"altitude": "depth"})),
     ("a wide row", "refuse", ("nav.csv", "row 4"),
@@ -283,8 +297,9 @@ def test_each_kind_gets_its_answer(tmp_path, answer, words, write):
     else:
         survey = folder.open()
         said = survey.warnings
-        assert bool(said) == (answer == "name"), said
+        assert bool(said) == (answer != "same"), said
         near = [p for p in survey.passes if abs(float(np.median(p.track.altitude)) - 5) < 0.5]
-        assert near
-        assert np.hypot(np.diff(near[0].track.x), np.diff(near[0].track.y)).max() < 1.5
+        assert bool(near) == (answer != "doubt")
+        line = survey.passes[0].track
+        assert np.hypot(np.diff(line.x), np.diff(line.y)).max() < 1.5
     assert all(word in " ".join(said) for word in words), said
