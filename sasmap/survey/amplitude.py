@@ -30,10 +30,18 @@ BLOCK = 16
 # allow (measured on Rayleigh speckle).
 FEWEST_BLOCKS = 6
 # Contrast (standard deviation over mean, lower quartile of the blocks) that amplitude can have.
-# Measured: Rayleigh speckle 0.51, correlated over four pixels 0.455, K-distributed with shape 1
-# 0.75, with shape 0.5 (which is the same as intensity) 0.95; two looks averaged 0.35, gamma 0.7
-# 0.375, bilinear resampling 0.33, intensity 0.95.
-CONTRAST = (0.43, 0.85)
+# Measured: Rayleigh speckle 0.51, K-distributed with shape 1 0.75, with shape 0.5 (which is the
+# same as intensity) 0.95; two looks averaged 0.35, gamma 0.7 0.38, 0.85 0.45 (which lowers A_H by a
+# seventh), bilinear resampling 0.33, intensity 0.95.
+CONTRAST = (0.465, 0.85)
+# Where short ripples throw shadows into every block contrast is more, at most 2.1, but skewness
+# then at most 1.1 times that (1.2 where there are few shadows); intensity has 1.7 times.
+SHADOWED, MOST_SHADOWED = 1.4, 2.5
+# Blocks of which the quartile is that sure; of fewer it strays by this much more.
+SURE_BLOCKS, STRAY = 60, 0.035
+# Correlated speckle varies less within a block than about its mean: by the area over which it is
+# correlated, summed up to so many pixels, on so many blocks at most.
+LAGS, CORRELATED_BLOCKS = 5, 400
 # Least skewness of the blocks with least contrast. Rayleigh 0.55, correlated over four pixels
 # 0.25, uniform (an equalised histogram) 0, compressed highlights 0.2 and less.
 SKEWNESS = 0.22
@@ -42,8 +50,12 @@ AVERAGED_SKEWNESS, AVERAGED_CONTRAST = 0.78, 0.53
 # Decibels, whatever their offset and scale, have a skewness of -1; gamma 0.45 has -0.1.
 LOGARITHMIC = -0.6
 # Share of pixels under a tenth of their block's median: Rayleigh 0.007, K with shape 1 0.02 at a
-# skewness above 1.2; more at less skewness is a black level that was subtracted.
-DARK_SHARE, DARK_SKEWNESS = 0.05, 1.2
+# skewness above 1.2; more at less skewness is a black level that was subtracted, unless they lie
+# together: in shadows most neighbours of a dark pixel are dark, in speckle few.
+DARK_SHARE, DARK_SKEWNESS, TOGETHER = 0.05, 1.2, 0.5
+# Skewness of the blocks with least contrast below which numbers may be decibels of the usual scale:
+# those have -0.95, what was equalised -0.35, saturated or compressed more.
+DECIBELS = -0.45
 # Steps of the grey scale that a block's mean must have: below, rounding makes the contrast.
 FEWEST_STEPS = 4.0
 # Different values of a tile, and steps of its median block, below which grey levels are few.
@@ -82,11 +94,12 @@ class Speckle:
     ----------
     blocks : int
     contrast : float
-        Standard deviation over mean, lower quartile.
+        Standard deviation over mean, lower quartile, as of uncorrelated speckle.
     skewness, least_skewness : float
         Median of all blocks, and of the half with least contrast.
-    dark : float
-        Share of pixels under a tenth of their block's median.
+    dark, together : float
+        Share of pixels under a tenth of their block's median, and of the neighbours of such pixels
+        that are so as well, along rows or columns.
     mean : float
         Median of the blocks' means.
     """
@@ -96,6 +109,7 @@ class Speckle:
     skewness: float
     least_skewness: float
     dark: float
+    together: float
     mean: float
 
     @property
@@ -107,10 +121,22 @@ class Speckle:
     def fits(self) -> bool:
         """Whether speckle of linear amplitude can look so."""
         return (
-            CONTRAST[0] <= self.contrast <= CONTRAST[1]
+            self.least_contrast <= self.contrast
+            and not self.too_much
             and self.least_skewness >= SKEWNESS
             and not self.averaged_intensity
         )
+
+    @property
+    def too_much(self) -> bool:
+        """Whether there is more contrast than texture and shadows make."""
+        shadowed = self.least_skewness < SHADOWED * self.contrast
+        return self.contrast > (MOST_SHADOWED if shadowed else CONTRAST[1])
+
+    @property
+    def least_contrast(self) -> float:
+        """Least contrast that amplitude can have, as far as so many blocks tell."""
+        return CONTRAST[0] - (STRAY if self.blocks < SURE_BLOCKS else 0.0)
 
     @property
     def averaged_intensity(self) -> bool:
@@ -156,19 +182,42 @@ def speckle_of(sample: Sample, least: float = 0.0) -> Speckle:
     kept = (spread > 1e-6 * np.abs(mean)) & (mean >= least) & (mean != 0)
     blocks, mean, spread = blocks[kept], mean[kept], spread[kept]
     if not blocks.size:
-        return Speckle(0, np.nan, np.nan, np.nan, np.nan, np.nan)
+        return Speckle(0, *[np.nan] * 6)
     contrast = spread / np.abs(mean)
     skewness = (((blocks - mean[:, None]) / spread[:, None]) ** 3).mean(axis=1)
     plain = contrast <= np.median(contrast)
     dark = blocks < 0.1 * np.median(blocks, axis=1, keepdims=True)
     return Speckle(
         blocks.shape[0],
-        float(np.quantile(contrast, 0.25)),
+        float(np.quantile(contrast, 0.25) / _within(blocks[plain], mean[plain])),
         float(np.median(skewness)),
         float(np.median(skewness[plain])),
         float(dark.mean()),
+        _together(dark.reshape(-1, BLOCK, BLOCK)),
         float(np.median(mean)),
     )
+
+
+def _together(dark: NDArray[np.bool_]) -> float:
+    """Share of the neighbours of dark pixels that are dark, along rows or columns."""
+    count = max(int(dark[:, 1:, 1:].sum()), 1)
+    down = int((dark[:, 1:, 1:] & dark[:, :-1, 1:]).sum())
+    across = int((dark[:, 1:, 1:] & dark[:, 1:, :-1]).sum())
+    return max(down, across) / count
+
+
+def _within(blocks: FloatArray, mean: FloatArray) -> float:
+    """Return the standard deviation of correlated speckle within a block over its true one."""
+    some = slice(None, None, blocks.shape[0] // CORRELATED_BLOCKS + 1)
+    part = (blocks[some] - mean[some, None]).reshape(-1, BLOCK, BLOCK)
+    variance = float(np.mean(part**2))
+    area = 0.0
+    for i in range(-LAGS, LAGS + 1):
+        for j in range(-LAGS, LAGS + 1):
+            one = part[:, max(i, 0) : BLOCK + min(i, 0), max(j, 0) : BLOCK + min(j, 0)]
+            other = part[:, max(-i, 0) : BLOCK - max(i, 0), max(-j, 0) : BLOCK - max(j, 0)]
+            area += max(float(np.mean(one * other)) / variance, 0.0)
+    return float(np.sqrt(max(1.0 - area / BLOCK**2, 0.5)))
 
 
 def _blocks(piece: FloatArray) -> FloatArray:
@@ -255,6 +304,8 @@ def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
     found = f"contrast {told.contrast:.2f} and skewness {told.least_skewness:.2f}"
     start = f"does not look like {_name(kind)} ({found}; speckle has 0.52 and 0.6)"
     others = [other for other in KINDS if other != kind and _fitting(sample, other)]
+    if raw.least_skewness > DECIBELS and "db" in others:
+        others.remove("db")
     if others:
         sure = "db" in (others[0], kind)
         return Verdict(f"{start}: try amplitude: {others[0]}", refused=sure)
@@ -271,7 +322,7 @@ def _unlike_decibels(raw: Speckle) -> Verdict | None:
 
 
 def _black_level(raw: Speckle) -> Verdict | None:
-    if raw.dark <= DARK_SHARE or raw.least_skewness >= DARK_SKEWNESS:
+    if raw.dark <= DARK_SHARE or raw.least_skewness >= DARK_SKEWNESS or raw.together > TOGETHER:
         return None
     return Verdict(
         f"{raw.dark:.0%} of its pixels are nearly black, where speckle has 1 %: a black level was "
@@ -294,7 +345,7 @@ def _cause(raw: Speckle, told: Speckle, kind: Kind) -> str:
         )
     if told.averaged_intensity and kind == "linear":
         return "they look like averaged intensity; try amplitude: intensity"
-    if told.contrast > CONTRAST[1]:
+    if told.too_much:
         return (
             "it has more contrast, as intensity has (amplitude: intensity) or what was stretched "
             "for display; export linear amplitude"
