@@ -264,18 +264,10 @@ def read_clip(
         tiles = tiles_of_cells(sonar_pass, grid).get(cell, ())
     if not tiles:
         return None
-    left, bottom, right, top = grid.bounds(cell)
-    reach = sonar_pass.reach
-    corner = Lattice(grid.crs, grid.transform)
-    margin = reach / grid.size
-    square = Window(cell.row, cell.column, 1, 1)
-    edge_x, edge_y = outline(square, corner)
-    centre_x, centre_y = (left + right) / 2, (bottom + top) / 2
-    edge_x = centre_x + (edge_x - centre_x) * (1 + 2 * margin)
-    edge_y = centre_y + (edge_y - centre_y) * (1 + 2 * margin)
+    around = _around(cell, grid, sonar_pass.reach)
 
     def window_on(lattice: Lattice) -> Window:
-        edge = transform_points(grid.crs, lattice.crs, edge_x, edge_y)
+        edge = transform_points(grid.crs, lattice.crs, *around)
         return bounding_window(*lattice.pixel_of(*edge))
 
     def area_of(tile: Tile) -> float:
@@ -295,6 +287,15 @@ def read_clip(
     if not valid.any():
         return None
     return _cut(amplitude, seen, valid, grid.crs, sonar_pass, _pixel_size(main, lattice))
+
+
+def _around(cell: Cell, grid: CellGrid, reach: float) -> tuple[FloatArray, FloatArray]:
+    """Points around a cell's edge, widened by `reach` (m)."""
+    left, bottom, right, top = grid.bounds(cell)
+    x, y = outline(Window(cell.row, cell.column, 1, 1), Lattice(grid.crs, grid.transform))
+    centre_x, centre_y = (left + right) / 2, (bottom + top) / 2
+    wider = 1 + 2 * reach / grid.size
+    return centre_x + (x - centre_x) * wider, centre_y + (y - centre_y) * wider
 
 
 def _pixel_size(tile: Tile, lattice: Lattice) -> float:

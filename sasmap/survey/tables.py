@@ -206,7 +206,10 @@ def _mark_of(line: str) -> str:
 def _split(line: str, mark: str) -> list[str]:
     if mark == " ":
         return re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it
-    return next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    try:
+        return next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    except csv.Error:  # a cell longer than it reads
+        return line.split(mark)
 
 
 def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd.DataFrame:
