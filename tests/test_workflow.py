@@ -19,6 +19,7 @@ from sasmap.errors import InputError
 from sasmap.lock import locked
 from sasmap.pipeline import run_survey
 from sasmap.plan import make_plan
+from sasmap.scheduling import check_workers
 from sasmap.survey.cells import Cell
 from sasmap.survey.opening import open_survey
 from sasmap.survey.passes import read_clip
@@ -81,6 +82,20 @@ def test_workers_elsewhere_give_the_same_bytes(tmp_path, elsewhere, monkeypatch,
     assert main(command) == 0, capsys.readouterr().err
     for name in PRODUCTS:
         assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
+def test_workers_that_do_not_see_the_tiles_are_named(tmp_path):
+    path = tmp_path / "a.tif"
+    path.write_bytes(b"12")
+
+    class Client:
+        """A cluster of two workers, one of which has another file there."""
+
+        def run(self, look, sizes, on_error):
+            return {"tcp://one": look(sizes), "tcp://two": look({k: 3 for k in sizes})}
+
+    with pytest.raises(InputError, match=r"a\.tif: worker tcp://two does not see this file"):
+        check_workers(Client(), [path])
 
 
 def test_an_address_without_a_port_is_one_line(tmp_path, capsys):

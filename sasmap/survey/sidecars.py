@@ -1,7 +1,7 @@
 """Files beside a tile that change it in other programs, and that are not read here.
 
-GDAL would follow them, and a hostile one leads it to the network (ARCHITECTURE "Traps"); what they
-say is named instead, with the command that bakes it into the tile.
+GDAL would follow them, and a hostile one leads it to the network; what they say is named instead,
+with the command that bakes it into the tile.
 """
 
 from __future__ import annotations
