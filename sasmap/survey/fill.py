@@ -159,7 +159,8 @@ def _alike(
         alike &= probe(raw, i, j) == first
         if mask is not None:
             alike &= probe(mask, i, j) != 0
-    return first.astype(float), alike
+    with np.errstate(invalid="ignore"):  # a broken file's NaN can be one that signals
+        return first.astype(float), alike
 
 
 def _edge_values(value: NDArray[np.float64], alike: NDArray[np.bool_]) -> list[float]:

@@ -269,9 +269,11 @@ def read_numbers(tile: Tile, window: Window) -> Amplitude:
         raise OSError(f"{tile.path}: {_where(window)} cannot be read: {error}") from None
     for fill in tile.fill:
         missing |= (raw == fill.value) & fill.near(window)
-    numbers = raw.astype(target)
-    if (scale, offset) != (1.0, 0.0):
-        numbers = (numbers * scale + offset).astype(target)
+    # a broken file's NaN can be one that signals, and its numbers larger than float32 holds
+    with np.errstate(invalid="ignore", over="ignore"):
+        numbers = raw.astype(target)
+        if (scale, offset) != (1.0, 0.0):
+            numbers = (numbers * scale + offset).astype(target)
     missing |= ~np.isfinite(numbers)
     numbers[missing] = np.nan
     return np.asarray(numbers)
