@@ -35,8 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.call(options))
     except InputError as error:
         for fault in error.faults:
-            readable = fault.encode("utf-8", "backslashreplace").decode()
-            print(f"sasmap: {readable}", file=sys.stderr)
+            print(f"sasmap: {_readable(fault)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("sasmap: interrupted; run again to go on from here", file=sys.stderr)
@@ -84,6 +83,18 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
     simulate.set_defaults(call=_simulate)
 
+    tiles = verbs.add_parser(
+        "tiles",
+        help="turn a raw recording into tiles, navigation and a survey file",
+        description="Turn a raw recording (XTF; extra raw) into ground-range tiles, navigation and "
+        "a survey file. Example: sasmap tiles LINE.xtf --output line",
+    )
+    tiles.add_argument("recording", type=Path, help="XTF file")
+    tiles.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
+    tiles.add_argument("--crs", help="CRS of its positions, where they are in metres")
+    tiles.add_argument("--pixel", type=_metres, metavar="M", help="pixel size, m")
+    tiles.set_defaults(call=_tiles)
+
     schema = verbs.add_parser("schema", help="print the JSON Schema of survey.yaml")
     schema.set_defaults(call=_schema)
     return parser
@@ -96,6 +107,16 @@ def _positive(text: str) -> int:
         value = 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
+    return value
+
+
+def _metres(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1e-3 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"expected metres from 0.001 to 100, got {text!r}")
     return value
 
 
@@ -117,17 +138,39 @@ def _run(options: argparse.Namespace) -> int:
     if not options.quiet:
         for line in summary_lines(outcome):
             print(line)
+    _repeat(outcome.warnings)
     return INCOMPLETE if outcome.failures else COMPLETE
+
+
+def _repeat(warnings: Sequence[str]) -> None:
+    """Say warnings once more at the end, where nobody scrolls past them."""
+    if not warnings:
+        return
+    count = len(warnings)
+    print(
+        f"sasmap: {count} warning{'s' if count > 1 else ''}: results may be wrong until "
+        f"{'these are' if count > 1 else 'this is'} looked at:",
+        file=sys.stderr,
+    )
+    for line in warnings:
+        print(f"sasmap: WARNING: {_readable(line)}", file=sys.stderr)
+
+
+def _readable(line: str) -> str:
+    """Return a line that any terminal can show."""
+    return line.encode("utf-8", "backslashreplace").decode()
 
 
 def _plan(options: argparse.Namespace) -> int:
     from sasmap.estimates import check_fits, describe_cost
     from sasmap.plan import describe, make_plan
 
+    _log(quiet=False)
     plan = make_plan(load_survey(options.survey))
     for line in (*describe(plan), *describe_cost(plan, options.workers)):
         print(line)
     check_fits(plan, options.workers)
+    _repeat(plan.opened.warnings)
     return COMPLETE
 
 
@@ -136,6 +179,15 @@ def _simulate(options: argparse.Namespace) -> int:
 
     written = simulate(load_scene(options.scene), options.output)
     print(f"{len(written)} files in {options.output}")
+    return COMPLETE
+
+
+def _tiles(options: argparse.Namespace) -> int:
+    from sasmap.raw import make_tiles
+
+    written, warnings = make_tiles(options.recording, options.output, options.crs, options.pixel)
+    print(f"{len(written)} files in {options.output}; next: sasmap run {written[-1]}")
+    _repeat(warnings)
     return COMPLETE
 
 

@@ -27,6 +27,9 @@ from sasmap.yamlfile import load_yaml
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 
 
+# Columns that a navigation file is read for.
+NavigationColumn = Literal["x", "y", "longitude", "latitude", "altitude"]
+
 _CLASSES = "expected auto, a number of at least 1, or a list of classes with training polygons"
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -57,6 +60,26 @@ class PassSettings(_Block):
     range: Literal["ground", "slant"] = Field(
         "ground", description="what the tiles' across-track axis is"
     )
+    amplitude: Literal["linear", "intensity", "db"] = Field(
+        "linear",
+        description="what a pixel's number is: amplitude, its square, or 20 log10 of it (dB)",
+    )
+    columns: dict[NavigationColumn, Name] | None = Field(
+        None,
+        description="the CSV's own names of `x`, `y`, `longitude`, `latitude`, `altitude`",
+    )
+    altitude_sd: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = Field(
+        0.02, description="how well altitude is known, standard deviation, m"
+    )
+
+    @field_validator("columns")
+    @classmethod
+    def _own_columns(cls, value: dict[str, str] | None) -> dict[str, str] | None:
+        given = [] if value is None else [name.strip().lower() for name in value.values()]
+        twice = sorted({name for name in given if given.count(name) > 1})
+        if twice:
+            raise ValueError(f"expected a column of its own for each, got {twice[0]!r} twice")
+        return value
 
     @field_validator("navigation_crs")
     @classmethod
@@ -114,6 +137,12 @@ class Survey(_Block):
     passes: Annotated[tuple[PassSettings, ...], Field(min_length=1)] = Field(
         description="one entry a pass"
     )
+    area: Name | None = Field(
+        None, description="GeoJSON or GeoPackage of polygons: only cells that touch them are mapped"
+    )
+    exclude: Name | None = Field(
+        None, description="GeoJSON or GeoPackage of polygons whose pixels are left out"
+    )
     ripples: RippleSettings | None = Field(None, description="no block: no ripple products")
     sediments: SedimentSettings | None = Field(None, description="no block: no sediment products")
 
@@ -157,7 +186,7 @@ class Survey(_Block):
 
     def resolve(self, path: str) -> Path:
         """Return a path of the survey file, relative ones from the file's own folder."""
-        return self._path.parent / path
+        return self._path.parent / expanded(path)
 
     def find_pass(self, name: str) -> PassSettings:
         """Return the settings of a pass by its name.
@@ -198,10 +227,19 @@ def load_survey(path: str | Path) -> Survey:
     >>> [p.name for p in survey.passes], survey.window
     (['near', 'far'], 500)
     """
-    path = Path(path)
+    # absolute: workers of a cluster were started in other folders
+    path = expanded(str(path)).absolute()
     survey = parse_model(Survey, load_yaml(path), path)
     survey._path = path
     return survey
+
+
+def expanded(path: str) -> Path:
+    """Return a path with a leading ``~`` replaced by the user's home folder."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # no such user: the name is taken as it is, and its absence told
+        return Path(path)
 
 
 def parse_model(model: type[Model], content: dict[str, Any], path: Path) -> Model:

@@ -33,6 +33,7 @@ class Outcome:
     sediments: list[dict[str, Any]] = field(default_factory=list)
     histograms: list[dict[str, list[float]]] = field(default_factory=list)
     failures: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     computed: int = 0
     kept: int = 0
@@ -65,7 +66,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
         "looks_kept_from_earlier_runs": outcome.kept,
         "sediment_classes": outcome.sediments,
         "failures": outcome.failures,
-        "warnings": list(plan.opened.warnings),
+        "warnings": outcome.warnings,
         "left_out": [*plan.left_out, *left_out_counts(outcome)],
         "products": [*(p.name for p in outcome.written), MANIFEST],
         "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},

@@ -12,9 +12,10 @@ from typing import Any
 from sasmap.config import Survey
 from sasmap.errors import InputError, fault_of
 from sasmap.estimates import check_fits
+from sasmap.lock import LOCK, locked
 from sasmap.manifest import Clock, Outcome, write_manifest
 from sasmap.plan import Look, Plan, make_plan, tags_of
-from sasmap.productnames import LOG, MANIFEST, RIPPLE_PRODUCTS
+from sasmap.productnames import LOG, MANIFEST, RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS
 from sasmap.products.colours import QUALITY_COLOURS
 from sasmap.products.model import Mosaic
 from sasmap.products.qgis import categories, write_styles
@@ -25,7 +26,7 @@ from sasmap.reporting import make_report
 from sasmap.ripples.chain import chained
 from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.scheduling import cluster, compute
+from sasmap.scheduling import check_workers, cluster, compute
 from sasmap.sedimentstage import sediment_stage
 from sasmap.store import Store, code_version
 from sasmap.survey.cells import Cell
@@ -75,15 +76,18 @@ def run_survey(
         plan = make_plan(survey)
         check_fits(plan, workers)
     with cluster(scheduler) as client:
+        check_workers(client, sorted(plan.hashes))
         store = Store(_made(survey.output_folder))
-        with _logged(store.output / LOG):
+        with locked(store.folder / LOCK), _logged(store.output / LOG):
             log.info("sasmap %s, run %s of %s", code_version(), plan.run_id, survey.path)
             for warning in plan.opened.warnings:
-                log.warning(warning)
+                log.warning("warning: %s", warning)
             store.remove_leftovers()
             if restart:
                 store.clear()
-            outcome = Outcome(store.output, seconds=clock.seconds)
+            outcome = Outcome(
+                store.output, seconds=clock.seconds, warnings=list(plan.opened.warnings)
+            )
             if survey.ripples is not None:
                 with clock.stage("ripples"):
                     _estimate_cells(plan, store, outcome, workers, client, progress)
@@ -98,18 +102,28 @@ def _make_products(
     if survey.ripples is not None:
         with clock.stage("products"):
             _write_ripples(plan, store, outcome)
-    else:
-        left = [name for name in RIPPLE_PRODUCTS if (store.output / name).exists()]
-        if left:
-            log.warning("of an earlier run, not of this one: %s", ", ".join(left))
     if survey.sediments is not None:
         log.info("sediments")
         with clock.stage("sediments"):
             _attempt(outcome, "sediments", lambda: sediment_stage(plan, store, outcome, workers))
+    _name_stale(store, outcome)
     log.info("report")
     with clock.stage("report"):
         _present(plan, store, outcome)
     _attempt(outcome, MANIFEST, lambda: [write_manifest(plan, store, outcome)])
+
+
+def _name_stale(store: Store, outcome: Outcome) -> None:
+    """Name products of an earlier run that this one does not write: they tell of other input."""
+    written = {path.name for path in outcome.written}
+    names = [n for n in (*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS) if not n.endswith(".aux.xml")]
+    stale = [n for n in names if n not in written and (store.output / n).exists()]
+    if stale:
+        outcome.warnings.append(
+            f"{store.output}: of an earlier run, not of this one: {', '.join(stale)}; remove them, "
+            "or choose another output folder"
+        )
+        log.warning("warning: %s", outcome.warnings[-1])
 
 
 @contextmanager

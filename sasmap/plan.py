@@ -8,20 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import shapely
+
 from sasmap.config import Survey
+from sasmap.errors import InputError
 from sasmap.sedimentmap import Known, read_model
 from sasmap.store import code_version, digest
 from sasmap.survey.cells import Cell
-from sasmap.survey.passes import (
-    OpenSurvey,
-    Side,
-    SonarPass,
-    check_kept,
-    open_survey,
-    tiles_of_cells,
-)
+from sasmap.survey.opening import OpenSurvey, check_kept, open_survey
+from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
 from sasmap.survey.tiles import Tile, hash_file
-from sasmap.survey.training import Training, read_training
+from sasmap.survey.training import Training, check_shown, read_training
 
 
 class Look(NamedTuple):
@@ -77,7 +74,8 @@ class Plan:
     def run_id(self) -> str:
         """Hash of inputs, settings, code version and seed."""
         # inputs count by what they hold, not by where they lie
-        places: Any = {"passes": {"__all__": {"tiles", "navigation"}}, "output": True}
+        places: Any = {"passes": {"__all__": {"tiles", "navigation"}}}
+        places |= dict.fromkeys(("output", "area", "exclude"), True)
         settings = self.settings.model_dump(mode="json", exclude=places)
         settings["sediments"] = self.sediment_settings
         return digest([self._inputs(), settings, code_version()])[:16]
@@ -101,9 +99,12 @@ class Plan:
         return self.settings.resolve(sediments.model)
 
     def _inputs(self) -> list[list[str]]:
-        return [
+        looks = [
             [look.label, *(self.hashes[f] for f in look.sonar_pass.files)] for look in self.looks
         ]
+        polygons = (self.settings.area, self.settings.exclude)
+        named = ["" if p is None else self.hashes[self.settings.resolve(p)] for p in polygons]
+        return [*looks, named]
 
 
 def make_plan(survey: Survey) -> Plan:
@@ -128,9 +129,14 @@ def make_plan(survey: Survey) -> Plan:
     cells = {
         cell: tuple(k for k, look in enumerate(looks) if cell in tiles[look.sonar_pass.name])
         for cell in sorted({cell for met in tiles.values() for cell in met})
+        if _called_for(opened, cell)
     }
+    if not cells:
+        raise InputError(f"{survey.path}: area, exclude: they leave no cell of the survey")
     training = read_training(survey, opened.grid)
+    check_shown(training, opened.passes, opened.grid)
     files = {f for p in opened.passes for f in p.files} | {t.path for t in training}
+    files |= set(opened.polygon_files)
     model = None
     if survey.sediments is not None and survey.sediments.model is not None:
         path = survey.resolve(survey.sediments.model)
@@ -139,6 +145,14 @@ def make_plan(survey: Survey) -> Plan:
     check_kept(survey, files)
     hashes = {f: hash_file(f) for f in sorted(files)}
     return Plan(opened, looks, cells, tiles, hashes, tuple(_left_out(survey)), training, model)
+
+
+def _called_for(opened: OpenSurvey, cell: Cell) -> bool:
+    """Whether the survey's area touches a cell and not all of it is left out."""
+    square = shapely.box(*opened.grid.bounds(cell))
+    if opened.area is not None and not opened.area.intersects(square):
+        return False
+    return opened.excluded is None or not opened.excluded.covers(square)
 
 
 def _left_out(survey: Survey) -> Iterator[str]:
@@ -191,5 +205,3 @@ def describe(plan: Plan) -> Iterable[str]:
     yield "looks a cell: " + ", ".join(f"{n} at {shown[n]} cells" for n in sorted(shown))
     for line in plan.left_out:
         yield f"left out: {line}"
-    for line in plan.opened.warnings:
-        yield f"warning: {line}"

@@ -57,7 +57,7 @@ def _kind(about: dict[str, Any]) -> str:
     if "anyOf" in about:
         kinds = [_kind(one) for one in about["anyOf"] if one.get("type") != "null"]
         return " or ".join(dict.fromkeys(kinds))
-    if "$ref" in about:
+    if "$ref" in about or about.get("type") == "object":
         return "a block"
     if "enum" in about:
         return ", ".join(f"`{value}`" for value in about["enum"])

@@ -82,7 +82,7 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
         "run_id": plan.run_id,
         "passes": list(_passes(plan)),
         "grid": _grid(plan),
-        "warnings": plan.opened.warnings,
+        "warnings": outcome.warnings,
         "quality": _quality(outcome),
         "ripple_words": _ripple_words(outcome),
         "ripple_maps": [map_of(store.output / n) for n in list(RAMPS)[:3] if n in written],

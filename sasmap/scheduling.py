@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -34,14 +35,68 @@ def cluster(address: str | None) -> Iterator[Any]:
     if address is None:
         yield None
         return
+    _check_address(address)
     from distributed import Client  # heavy, and only clusters need it
 
     try:
         client = Client(address, timeout=CLUSTER_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {address}: no dask scheduler answers: {error}") from None
+    except (OSError, ValueError, ImportError, RuntimeError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"--scheduler {address}: no dask scheduler answers: {told}") from None
     with client:
         yield client
+
+
+def _check_address(address: str) -> None:
+    """Refuse an address that names no port: dask would end in a traceback, or wait."""
+    host, mark, port = address.rpartition("://")[2].rpartition(":")
+    if not mark or not port.isdigit() or not host:
+        raise InputError(
+            f"--scheduler {address}: expected an address with its port, such as tcp://node1:8786 "
+            "(dask scheduler prints it when it starts)"
+        )
+
+
+def check_workers(client: Any, inputs: Sequence[Path]) -> None:
+    """Check that the workers of a cluster see the survey's files as this process does.
+
+    Parameters
+    ----------
+    client : distributed.Client or None
+    inputs : sequence of Path
+        Absolute.
+
+    Raises
+    ------
+    InputError
+        Names a worker and a file that it does not see.
+    """
+    if client is None:
+        return
+    sizes = {str(path): path.stat().st_size for path in inputs}
+    answers = client.run(_not_seen, sizes, on_error="return")
+    for worker, answer in sorted(answers.items()):
+        if isinstance(answer, OSError):
+            continue  # it died meanwhile: others do its work
+        if isinstance(answer, Exception):
+            told = " ".join(f"{type(answer).__name__}: {answer}".split())
+            raise InputError(f"--scheduler: worker {worker} cannot look for the tiles: {told}")
+        if answer is not None:
+            raise InputError(
+                f"{answer}: worker {worker} does not see this file, or another one there: expected "
+                "a file system that all workers share, at the same place"
+            )
+
+
+def _not_seen(sizes: dict[str, int]) -> str | None:
+    """Return the first file that is not there with its size; runs on a worker."""
+    for name, size in sizes.items():
+        try:
+            if os.stat(name).st_size != size:
+                return name
+        except OSError:
+            return name
+    return None
 
 
 def compute(

@@ -24,7 +24,7 @@ from sasmap.store import Store, code_version, digest
 from sasmap.survey.cells import Cell
 from sasmap.survey.tiles import hash_file
 from sasmap.survey.training import cells_shown, marked
-from sasmap.work import Context, read_floor, track_hash
+from sasmap.work import Context, excluded_hash, read_floor, track_hash
 
 log = logging.getLogger("sasmap")
 
@@ -49,14 +49,15 @@ def _key(plan: Plan, outcome: Outcome) -> str:
             look.label,
             look.side,
             look.sonar_pass.slant,
-            [plan.hashes[tile.path] for tile in look.sonar_pass.tiles],
+            [[plan.hashes[tile.path], tile.kind] for tile in look.sonar_pass.tiles],
             track_hash(look.sonar_pass.track),
         ]
         for look in plan.looks
     ]
     place = [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size), plan.settings.window]
     found = sorted((list(cell), keys) for cell, keys in outcome.keys.items())
-    known = [code_version(), plan.sediment_settings, place, looks, found, tags_of(plan)]
+    shown = [sorted(list(cell) for cell in plan.cells), excluded_hash(plan, None)]
+    known = [code_version(), plan.sediment_settings, place, looks, found, shown, tags_of(plan)]
     return digest(known)
 
 

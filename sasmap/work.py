@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -229,12 +230,27 @@ def _key(plan: Plan, cell: Cell, look: Look, prior: list[Any]) -> str:
             "settings": _dumped(plan),
             "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
             "cell": list(cell),
-            "pass": [look.label, look.side, sonar_pass.slant],
+            "pass": [look.label, look.side, sonar_pass.slant, repr(sonar_pass.altitude_sd)],
+            "numbers": [tile.kind for tile in tiles],
+            "excluded": excluded_hash(plan, cell),
             "tiles": [plan.hashes[tile.path] for tile in tiles],
             "track": track_hash(sonar_pass.track),
             "prior": repr(prior),
         }
     )
+
+
+def excluded_hash(plan: Plan, cell: Cell | None) -> str | None:
+    """Hash what is left out of a cell, or of the survey; None where nothing is."""
+    excluded = plan.opened.excluded
+    if excluded is None:
+        return None
+    if cell is None:
+        return digest(excluded.wkb_hex)
+    # what lies within a pixel of the cell
+    grid = plan.opened.grid
+    square = shapely.box(*grid.bounds(cell)).buffer(grid.size / plan.settings.window)
+    return digest(excluded.wkb_hex) if excluded.intersects(square) else None
 
 
 def _dumped(plan: Plan) -> list[Any]:

@@ -72,7 +72,8 @@ def test_published_method_takes_bounds_from_zero(tmp_path):
 def test_schema_describes_every_key():
     schema = json.loads(survey_schema())
     assert set(schema["properties"]) == {
-        "name", "output", "crs", "window", "seed", "passes", "ripples", "sediments",
+        "name", "output", "crs", "window", "seed", "passes", "area", "exclude",
+        "ripples", "sediments",
     }  # fmt: skip
     assert schema["additionalProperties"] is False
 

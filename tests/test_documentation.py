@@ -14,7 +14,7 @@ from sasmap.reference import survey_reference
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
     "sasmap.config",
-    "sasmap.survey.passes",
+    "sasmap.survey.opening",
     "sasmap.ripples.estimate",
     "sasmap.sediments.distributions",
 )

@@ -9,6 +9,7 @@ import yaml
 
 import sasmap
 from sasmap.cli import main
+from sasmap.errors import InputError
 from sasmap.pipeline import run_survey
 from sasmap.plan import make_plan
 
@@ -86,16 +87,15 @@ def test_an_unchanged_map_is_kept_and_a_changed_one_made_anew(scene, tmp_path):
     assert label.max() == 1
 
 
-def test_training_without_pixels_fails_the_stage_with_a_line(scene, tmp_path):
+def test_training_without_pixels_is_refused_before_anything_starts(scene, tmp_path):
     ring = [[500002, 3300002], [500002.1, 3300002], [500002.1, 3300002.1], [500002, 3300002]]
     shape = {"type": "Polygon", "coordinates": [ring]}
     shape["crs"] = {"type": "name", "properties": {"name": "EPSG:32617"}}
     (scene / "tiny.geojson").write_text(json.dumps(shape))
     named = [{"name": n, "training": f"{n}.geojson"} for n in ("sand", "tiny")]
-    outcome = run_survey(sasmap.load_survey(survey_of(scene, classes=named)), output=tmp_path)
-    (failure,) = outcome.failures
-    assert failure["stage"] == "sediments"
-    assert "class 2" in failure["fault"]
+    with pytest.raises(InputError, match=r"tiny\.geojson: class 'tiny': the tiles show \d+ pixels"):
+        run_survey(sasmap.load_survey(survey_of(scene, classes=named)), output=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_unreadable_block_is_named_and_the_rest_is_mapped(scene, tmp_path):

@@ -118,7 +118,7 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
         features, index = _features(blocks, trends, dark)
         groups = _grouped(features, count or 1)
         trends = refit(blocks, groups, index, first)
-    factor = _noise_factor(looks)
+    factor = noise_factor(looks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
     how = trends, centre, factor
@@ -160,7 +160,7 @@ def train_classes(looks: Sequence[Look], marks: NDArray[np.uint8], count: int) -
     if index[0].size:
         _, groups = np.unique(labels[index], return_inverse=True)
         trends = refit(blocks, groups, index, trends)
-    factor = _noise_factor(looks)
+    factor = noise_factor(looks)
     laws = []
     for k in range(1, count + 1):
         values = _pixels(looks, marks == k, trends, centre)
@@ -215,7 +215,7 @@ def carry_over(looks: Sequence[Look], laws: Sequence[Law], centre: float) -> Cla
         score = level - 0.5 * float(trends[0, 0] / GAIN_SD) ** 2
         if score > best_score:
             best, best_score = trends, score
-    factor = _noise_factor(looks)
+    factor = noise_factor(looks)
     none = _dark_law(looks, _dark(blocks, best, laws), best, centre, factor)
     return Classes(tuple(laws), best, centre, factor, none)
 
@@ -365,7 +365,7 @@ def _seeded(points: FloatArray, n: int) -> FloatArray:
     return np.asarray(np.eye(n)[near])
 
 
-def _noise_factor(looks: Sequence[Look]) -> float:
+def noise_factor(looks: Sequence[Look]) -> float:
     """Pixels to one independent sample, by the middle of each look."""
     factors = []
     for look in looks:

@@ -1,5 +1,5 @@
 """Where pixels are and what saw them: tiles, navigation, the cell grid."""
 
-from sasmap.survey.passes import open_pass, open_survey
+from sasmap.survey.opening import open_pass, open_survey
 
 __all__ = ["open_pass", "open_survey"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,13 +13,17 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from sasmap.errors import InputError, check_file
+from sasmap.config import NavigationColumn
+from sasmap.errors import InputError
 from sasmap.survey.lattice import transform_points
+from sasmap.survey.lines import find_lines
+from sasmap.survey.pings import Pings, checked_pings
+from sasmap.survey.tables import Table, read_table
 
 FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
-MAX_BYTES = 2**29
+COLUMNS = ("x", "y", "longitude", "latitude", "altitude")
 # Below this grazing angle nothing is seen: farther tiles belong to another track.
 MAX_REACH = 5.0
 # Port and starboard are told by the course over this length to either side, m.
@@ -218,8 +222,41 @@ def _see(i, x, y, tx, ty, altitude, cx, cy, best, at, along, out, starboard):  #
     out[2, i] = np.degrees(np.arctan2(ex, ey)) % 360.0
 
 
-def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | None) -> Track:
-    """Read a navigation CSV into a track in map coordinates.
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A survey line of a navigation file.
+
+    Attributes
+    ----------
+    track : Track
+    rows : tuple of int
+        First and last row in the file.
+    """
+
+    track: Track
+    rows: tuple[int, int]
+
+    @property
+    def label(self) -> str:
+        """The rows, for messages."""
+        return f"rows {self.rows[0]} to {self.rows[1]}"
+
+
+class Navigation(NamedTuple):
+    """What a navigation file holds: its survey lines, and what was odd about it."""
+
+    stretches: tuple[Stretch, ...]
+    warnings: tuple[str, ...]
+
+
+def read_navigation(
+    path: Path,
+    crs: str,
+    tile_crs: str,
+    navigation_crs: str | None,
+    columns: Mapping[NavigationColumn, str] | None = None,
+) -> Navigation:
+    """Read a navigation CSV into tracks in map coordinates.
 
     Parameters
     ----------
@@ -232,99 +269,91 @@ def read_navigation(path: Path, crs: str, tile_crs: str, navigation_crs: str | N
         CRS of x, y where `navigation_crs` is None.
     navigation_crs : str or None
         CRS of the file's positions.
+    columns : mapping, optional
+        The file's own names of columns.
 
     Returns
     -------
-    Track
+    Navigation
 
     Raises
     ------
     InputError
         Where the file, a column, or a number is missing or impossible; names the row.
     """
-    lines, rows = _read_rows(path)
-    header = [name.strip().lower() for name in rows[0]]
-    if "altitude" not in header:
-        raise InputError(f"{path}: no column 'altitude': expected metres above the sea floor")
+    given: dict[str, str] = {
+        key: " ".join(name.lower().split()) for key, name in (columns or {}).items()
+    }
+    table = read_table(path, frozenset({given.get("altitude", "altitude")}))
+    names, source = _position_columns(table, given, navigation_crs, tile_crs)
+    values = [table.numbers(given.get(name, name)) for name in names]
+    altitude = table.numbers(given.get("altitude", "altitude"), gaps=True)
+    rows = np.array(table.rows)
+    if names[0] == "longitude":
+        _check_degrees(path, rows, *values)
+    x, y = transform_points(pyproj.CRS.from_user_input(source).to_wkt(), crs, *values)
+    lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
+    if lost.size:
+        raise InputError(
+            f"{path}: row {rows[lost[0]]}: positions lie outside what the survey's CRS can hold"
+        )
+    return _tracks(*checked_pings(Pings(path, rows, x, y, altitude)))
+
+
+def _position_columns(
+    table: Table, given: Mapping[str, str], navigation_crs: str | None, tile_crs: str
+) -> tuple[tuple[str, str], str]:
+    """Which columns are positions, and their CRS."""
+    path, header = table.path, {*table.header, *table.full}
+    lacking = sorted(name for name in given.values() if name not in header)
+    if lacking:
+        raise InputError(
+            f"{path}: no column {lacking[0]!r}, which columns: names; got {table.header}"
+        )
+    if given.get("altitude", "altitude") not in header:
+        raise InputError(
+            f"{path}: no column 'altitude': expected metres above the sea floor; got "
+            f"{table.header[:9]}; if it has another name: columns: {{altitude: NAME}}"
+        )
     wanted = pyproj.CRS.from_user_input(navigation_crs or WGS84)
-    geographic = {"longitude", "latitude"} <= set(header) and not (
-        wanted.is_projected and {"x", "y"} <= set(header)
+    known = {name for name in COLUMNS if given.get(name, name) in header}
+    geographic = {"longitude", "latitude"} <= known and not (
+        wanted.is_projected and {"x", "y"} <= known
     )
     if geographic and not wanted.is_geographic:
-        raise InputError(f"{path}: navigation_crs {wanted.name!r} needs columns x, y; got {header}")
-    names = ("longitude", "latitude") if geographic else ("x", "y")
-    if not set(names) <= set(header):
-        raise InputError(f"{path}: expected columns longitude, latitude or x, y; got {header}")
-    table = _Table(path, lines, rows)
-    values = {name: table.column(header.index(name), name) for name in (*names, "altitude")}
-    low = np.flatnonzero(values["altitude"] <= 0)
-    if low.size:
-        row = int(low[0])
-        given = values["altitude"][row]
         raise InputError(
-            f"{path}: row {lines[row + 1]}: altitude: expected more than 0 m, got {given:g}"
+            f"{path}: navigation_crs {wanted.name!r} needs columns x, y; got {table.header}"
         )
-    source = navigation_crs or (WGS84 if geographic else tile_crs)
-    if geographic:
-        table.check_degrees(values["longitude"], values["latitude"])
-    x, y = transform_points(
-        pyproj.CRS.from_user_input(source).to_wkt(), crs, values[names[0]], values[names[1]]
-    )
-    return _checked_track(path, x, y, values["altitude"])
+    names = ("longitude", "latitude") if geographic else ("x", "y")
+    if not set(names) <= known:
+        raise InputError(
+            f"{path}: expected columns longitude, latitude or x, y; got {table.header[:9]}; if "
+            "they have other names: columns: {x: NAME, y: NAME}"
+        )
+    return names, navigation_crs or (WGS84 if geographic else tile_crs)
 
 
-def _checked_track(path: Path, x: FloatArray, y: FloatArray, altitude: FloatArray) -> Track:
-    if not np.all(np.isfinite(x) & np.isfinite(y)):
-        raise InputError(f"{path}: positions lie outside what the survey's CRS can hold")
-    moved = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
+def _check_degrees(
+    path: Path, rows: NDArray[np.int64], longitude: FloatArray, latitude: FloatArray
+) -> None:
+    wrong = np.flatnonzero((np.abs(longitude) > 360) | (np.abs(latitude) > 90))
+    if wrong.size:
+        row = rows[wrong[0]]
+        raise InputError(f"{path}: row {row}: expected longitude, latitude in degrees")
+
+
+def _tracks(pings: Pings, warnings: list[str]) -> Navigation:
+    """Part pings at turns, each line a track."""
+    moved = np.concatenate([[True], np.hypot(np.diff(pings.x), np.diff(pings.y)) > 1e-6])
     if moved.sum() < 2:
-        raise InputError(f"{path}: expected at least two pings at different positions")
-    return Track(x[moved], y[moved], altitude[moved])
-
-
-def _read_rows(path: Path) -> tuple[list[int], list[list[str]]]:
-    """Return line numbers and cells of the rows that are not blank."""
-    check_file(path, "expected a CSV file, one row a ping", MAX_BYTES)
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            first = stream.readline()
-            stream.seek(0)
-            mark = max(",;\t", key=first.count)
-            reader = csv.reader(stream, delimiter=mark)
-            found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"{path}: expected a CSV text file in UTF-8") from None
-    if not found:
-        raise InputError(f"{path}: empty: expected a header and one row a ping")
-    if len(found) < 3:
-        raise InputError(f"{path}: expected at least two pings, got {len(found) - 1}")
-    return [line for line, _ in found], [row for _, row in found]
-
-
-class _Table(NamedTuple):
-    """Rows of a CSV, the first one its header, with the lines they stand on."""
-
-    path: Path
-    lines: list[int]
-    rows: list[list[str]]
-
-    def column(self, index: int, name: str) -> FloatArray:
-        values = np.empty(len(self.rows) - 1)
-        for i, row in enumerate(self.rows[1:]):
-            given = row[index] if index < len(row) else ""
-            where = f"{self.path}: row {self.lines[i + 1]}: {name}"
-            try:
-                values[i] = float(given)
-            except ValueError:
-                raise InputError(f"{where}: expected a number, got {given[:40]!r}") from None
-            if not np.isfinite(values[i]):
-                raise InputError(f"{where}: expected a finite number, got {given[:40]!r}")
-        return values
-
-    def check_degrees(self, longitude: FloatArray, latitude: FloatArray) -> None:
-        wrong = np.flatnonzero((np.abs(longitude) > 360) | (np.abs(latitude) > 90))
-        if wrong.size:
-            line = self.lines[int(wrong[0]) + 1]
-            raise InputError(f"{self.path}: row {line}: expected longitude, latitude in degrees")
+        raise InputError(f"{pings.path}: expected at least two pings at different positions")
+    pings = pings.at(moved)
+    lines, gaps = find_lines(pings)
+    if not lines:
+        raise InputError(f"{pings.path}: no two pings follow each other along a line")
+    stretches = []
+    for first, last in lines:
+        line = pings.at(slice(first, last + 1))
+        rows = int(line.rows[0]), int(line.rows[-1])
+        stretches.append(Stretch(Track(line.x, line.y, line.altitude), rows))
+    return Navigation(tuple(stretches), (*warnings, *gaps))

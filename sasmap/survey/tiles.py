@@ -16,11 +16,21 @@ import pyproj
 import rasterio
 import rasterio.windows
 import tifffile
-from affine import Affine
 from numpy.typing import NDArray
 
+from sasmap.config import expanded
 from sasmap.errors import InputError
+from sasmap.survey.amplitude import Kind, to_linear
+from sasmap.survey.bands import check_bands
+from sasmap.survey.fill import Fill
+from sasmap.survey.georeference import checked_crs
 from sasmap.survey.lattice import Lattice, Window, bounding_window, outline, transform_points
+
+# Of tifffile, where a file's structure is broken.
+TIFF_FAULTS = (tifffile.TiffFileError, struct.error, ValueError, IndexError, KeyError, TypeError,
+               ZeroDivisionError, AttributeError)  # fmt: skip
+# TIFF's PlanarConfiguration of bands that lie apart.
+SEPARATE = 2
 
 Amplitude = NDArray[np.float32] | NDArray[np.float64]
 
@@ -48,22 +58,56 @@ class Tile:
         All of the tile's pixels.
     dtype : str
         Type of the stored pixels.
+    kind : {"linear", "intensity", "db"}
+        What the numbers are.
+    fill : tuple of Fill
+        Where they are none, though the file does not say so.
     """
 
     path: Path
     lattice: Lattice
     window: Window
     dtype: str
+    kind: Kind = "linear"
+    fill: tuple[Fill, ...] = ()
+
+    @property
+    def geographic(self) -> bool:
+        """Whether the lattice is in degrees: its pixels are not square on the ground."""
+        return _metres(self.lattice.crs) is None
 
     @property
     def pixel_size(self) -> float:
-        """Side in metres of the square with a pixel's area."""
-        unit = pyproj.CRS.from_wkt(self.lattice.crs).axis_info[0].unit_conversion_factor
+        """Side in metres of the square with a pixel's area; in degrees, of the pixel's longer side.
+
+        With the longer side no pixel is taken twice where pixels are laid at their nearest place.
+        """
+        unit = _metres(self.lattice.crs)
+        if unit is None:
+            return _longer_side(self)
         return float(abs(self.lattice.transform.determinant) ** 0.5 * unit)
 
     def outline_in(self, crs: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return points of the tile's edge in another CRS."""
         return _outline_in(self, crs)
+
+
+@lru_cache(maxsize=1000)
+def _metres(crs: str) -> float | None:
+    """Metres of a CRS's unit; None where it is geographic."""
+    parsed = pyproj.CRS.from_wkt(crs)
+    return None if parsed.is_geographic else float(parsed.axis_info[0].unit_conversion_factor)
+
+
+def _longer_side(tile: Tile) -> float:
+    """Longer side of a geographic tile's middle pixel, m."""
+    t, crs = tile.lattice.transform, pyproj.CRS.from_wkt(tile.lattice.crs)
+    row, column = tile.window.height / 2, tile.window.width / 2
+    corners = [t @ (column + i, row + j) for i, j in ((0, 0), (1, 0), (0, 1))]
+    (x0, y0), (x1, y1), (x2, y2) = corners
+    geod = crs.get_geod() or pyproj.Geod(ellps="WGS84")
+    _, _, sides = geod.inv([x0, x0], [y0, y0], [x1, x2], [y1, y2])
+    return float(max(sides))
 
 
 @lru_cache(maxsize=100_000)
@@ -72,13 +116,17 @@ def _outline_in(tile: Tile, crs: str) -> tuple[NDArray[np.float64], NDArray[np.f
     return transform_points(tile.lattice.crs, crs, x, y)
 
 
-def inspect_tile(path: Path) -> Tile:
+def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) -> Tile:
     """Open a tile's header and check that the tile can be used.
 
     Parameters
     ----------
     path : Path
         A regular local file.
+    kind : {"linear", "intensity", "db"}
+        What its numbers are.
+    geographic : bool
+        Whether a geographic CRS is accepted.
 
     Returns
     -------
@@ -88,7 +136,7 @@ def inspect_tile(path: Path) -> Tile:
     ------
     InputError
         Where the file is missing, not a GeoTIFF, truncated, not a single real-valued band, or
-        has no usable georeference in a projected CRS.
+        has no usable georeference.
     """
     try:
         str(path).encode()
@@ -98,49 +146,18 @@ def inspect_tile(path: Path) -> Tile:
         raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
     try:
         with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path, driver="GTiff") as source:
-            _check_band(path, source)
-            crs = _checked_crs(path, source)
+            check_bands(path, source)
+            crs = checked_crs(path, source, geographic)
             _check_blocks(path, source)
             return Tile(
                 path=path,
                 lattice=Lattice(crs, source.transform),
                 window=Window(0, 0, source.height, source.width),
                 dtype=source.dtypes[0],
+                kind=kind,
             )
     except rasterio.errors.RasterioIOError:
         raise InputError(f"{path}: not a GeoTIFF that can be opened") from None
-
-
-def _check_band(path: Path, source: rasterio.DatasetReader) -> None:
-    if source.count != 1:
-        raise InputError(f"{path}: expected a single amplitude band, got {source.count} bands")
-    if np.dtype(source.dtypes[0]).kind not in "uif":
-        raise InputError(f"{path}: expected real amplitudes, got {source.dtypes[0]} pixels")
-
-
-def _checked_crs(path: Path, source: rasterio.DatasetReader) -> str:
-    if source.crs is None:
-        raise InputError(f"{path}: no CRS: expected a tile georeferenced in a projected CRS")
-    crs = pyproj.CRS.from_wkt(source.crs.to_wkt())
-    if not crs.is_projected:
-        advice = "expected a projected CRS; warp it first, for example gdalwarp -r near -t_srs"
-        raise InputError(f"{path}: geographic CRS {crs.name!r}: {advice} {_utm_of(source, crs)}")
-    determinant = source.transform.determinant
-    if source.transform == Affine.identity() or not np.isfinite(determinant) or determinant == 0:
-        raise InputError(
-            f"{path}: no georeference: expected a GeoTIFF with a pixel size and origin"
-        )
-    return str(crs.to_wkt())
-
-
-def _utm_of(source: rasterio.DatasetReader, crs: pyproj.CRS) -> str:
-    if not crs.is_geographic:
-        return "EPSG:32617"
-    longitude, latitude = source.transform @ (source.width / 2, source.height / 2)
-    if not (-180 <= longitude <= 180 and -90 <= latitude <= 90):
-        return "EPSG:32617"
-    zone = min(int((longitude + 180) // 6) + 1, 60)
-    return f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
 
 
 def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
@@ -155,12 +172,23 @@ def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
     total = source.height * source.width * item
     if total > 2**32 and total > MAX_EXPANSION * size:
         raise InputError(f"{path}: {size} bytes claim to hold {total}: refused as implausible")
-    blocks = -(-source.height // height) * -(-source.width // width)
-    _check_directories(path, size, blocks)
+    _check_directories(path, size, source.count)
 
 
-def _check_directories(path: Path, size: int, blocks: int) -> None:
-    """Check the blocks of every image in the file: pixels (so many), overviews, masks."""
+def _blocks_of(page: tifffile.TiffPage, bands: int) -> int:
+    """Blocks that an image's size asks for, by the file's own strips or tiles.
+
+    GDAL shows strips that are not in the file where it cuts a single large one.
+    """
+    if page.is_tiled:
+        blocks = -(-page.imagelength // page.tilelength) * -(-page.imagewidth // page.tilewidth)
+    else:
+        blocks = -(-page.imagelength // min(max(page.rowsperstrip, 1), page.imagelength))
+    return int(blocks * (bands if page.planarconfig == SEPARATE else 1))
+
+
+def _check_directories(path: Path, size: int, bands: int) -> None:
+    """Check the blocks of every image in the file: pixels, overviews, masks."""
     doubts = _Doubts()
     logger = logging.getLogger("tifffile")
     handlers, propagate = logger.handlers, logger.propagate
@@ -168,7 +196,8 @@ def _check_directories(path: Path, size: int, blocks: int) -> None:
     try:
         with tifffile.TiffFile(path) as file:
             pages = list(file.pages)
-    except (tifffile.TiffFileError, struct.error, ValueError, IndexError, KeyError) as error:
+            blocks = _blocks_of(pages[0], bands)
+    except TIFF_FAULTS as error:
         raise InputError(f"{path}: truncated or corrupt: {' '.join(str(error).split())}") from None
     finally:
         logger.handlers, logger.propagate = handlers, propagate
@@ -221,6 +250,11 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
     OSError
         Where a block cannot be decoded; the message names file and pixel window.
     """
+    return np.asarray(to_linear(read_numbers(tile, window), tile.kind))
+
+
+def read_numbers(tile: Tile, window: Window) -> Amplitude:
+    """Read a window's numbers as stored, scale and offset applied; NaN where there is none."""
     area = rasterio.windows.Window(window.column, window.row, window.width, window.height)
     kind = np.dtype(tile.dtype)
     target = np.float64 if kind.itemsize > 4 or kind in (np.int32, np.uint32) else np.float32
@@ -233,13 +267,16 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
             scale, offset = source.scales[0], source.offsets[0]
     except rasterio.errors.RasterioError as error:
         raise OSError(f"{tile.path}: {_where(window)} cannot be read: {error}") from None
-    amplitude = raw.astype(target)
-    if (scale, offset) != (1.0, 0.0):
-        amplitude = (amplitude * scale + offset).astype(target)
-    missing |= ~np.isfinite(amplitude)
-    missing |= np.less(amplitude, 0, where=~missing, out=np.zeros_like(missing))
-    amplitude[missing] = np.nan
-    return np.asarray(amplitude)
+    for fill in tile.fill:
+        missing |= (raw == fill.value) & fill.near(window)
+    # a broken file's NaN can be one that signals, and its numbers larger than float32 holds
+    with np.errstate(invalid="ignore", over="ignore"):
+        numbers = raw.astype(target)
+        if (scale, offset) != (1.0, 0.0):
+            numbers = (numbers * scale + offset).astype(target)
+    missing |= ~np.isfinite(numbers)
+    numbers[missing] = np.nan
+    return np.asarray(numbers)
 
 
 def _where(window: Window) -> str:
@@ -317,6 +354,7 @@ def find_tiles(folder: Path, pattern: str) -> list[Path]:
 
     A name without wildcards is returned as it is, so that its absence can be told.
     """
+    pattern = str(expanded(pattern))
     if not glob.has_magic(pattern) or (folder / pattern).is_file():
         return [folder / pattern]
     full = os.path.join(glob.escape(str(folder)), pattern)

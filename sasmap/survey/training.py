@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pyogrio
-import pyproj
 import shapely
 from affine import Affine
 from numpy.typing import NDArray
@@ -16,14 +13,19 @@ from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
 from sasmap.config import ClassSettings, Survey
-from sasmap.errors import InputError, check_file
+from sasmap.errors import InputError
+from sasmap.sediments.segmentation import LEAST_SAMPLES, noise_factor
+from sasmap.sediments.trends import Look
 from sasmap.survey.cells import Cell, CellGrid
+from sasmap.survey.lattice import Window, bounding_window, transform_points
+from sasmap.survey.passes import SonarPass, view
+from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
+from sasmap.survey.tiles import Tile, read_tile
 
-MAX_BYTES = 2**27
-GEOPACKAGE = b"SQLite format 3\0"
-WGS84 = "OGC:CRS84"
-POLYGONS = ("Polygon", "MultiPolygon")
-EXPECTED = "expected a GeoJSON or GeoPackage of polygons"
+# Pixels a side of the pieces in which training is counted.
+CHUNK = 512
+# Half the side of the piece that tells how speckle is correlated, pixels.
+MIDDLE = 64
 
 
 class Training(NamedTuple):
@@ -83,77 +85,85 @@ def read_training(survey: Survey, grid: CellGrid) -> tuple[Training, ...]:
 
 
 def _read(path: Path, settings: ClassSettings, grid: CellGrid) -> Training:
-    check_file(path, f"{EXPECTED} for class {settings.name!r}", MAX_BYTES)
-    with open(path, "rb") as stream:
-        start = stream.read(len(GEOPACKAGE))
-    shapes, crs = _geopackage(path) if start == GEOPACKAGE else _geojson(path)
-    shapes = [shape for shape in shapes if shape.geom_type in POLYGONS and not shape.is_empty]
-    if not shapes:
-        raise InputError(f"{path}: holds no polygons; {EXPECTED}")
-    area = shapely.union_all([shapely.make_valid(_moved(s, crs, grid.crs, path)) for s in shapes])
-    width, height = grid.columns * grid.size, grid.rows * grid.size
-    whole = shapely.box(grid.left, grid.top - height, grid.left + width, grid.top)
-    if not area.intersects(whole):
+    area = read_polygons(path, grid, f"{EXPECTED} for class {settings.name!r}")
+    if not on_tiles(area, grid):
         raise InputError(f"{path}: no polygon of it lies on the survey's tiles")
     return Training(settings.name, path, area)
 
 
-def _moved(shape: BaseGeometry, crs: pyproj.CRS, wanted: str, path: Path) -> BaseGeometry:
-    move = pyproj.Transformer.from_crs(crs, wanted, always_xy=True)
-    moved = shapely.transform(shape, move.transform, interleaved=False)
-    if not np.isfinite(shapely.get_coordinates(moved)).all():
-        raise InputError(f"{path}: coordinates lie outside what the survey's CRS can hold")
-    return moved
+def check_shown(
+    training: tuple[Training, ...], passes: tuple[SonarPass, ...], grid: CellGrid
+) -> None:
+    """Check that the tiles show enough of each class, before hours of other work.
+
+    Parameters
+    ----------
+    training : tuple of Training
+    passes : tuple of SonarPass
+    grid : CellGrid
+
+    Raises
+    ------
+    InputError
+        With a line for each class of which too few valid pixels are shown.
+    """
+    faults: list[str] = []
+    if not training:
+        return
+    needed = int(np.ceil(LEAST_SAMPLES * _pixels_a_sample(passes)))
+    for one in training:
+        shown = 0
+        for sonar_pass in passes:
+            for tile in sonar_pass.tiles:
+                if shown < needed:
+                    shown += _shown(one.area, sonar_pass, tile, grid.crs, needed)
+        if shown < needed:
+            faults.append(
+                f"{one.path}: class {one.name!r}: the tiles show {shown} pixels of its polygons: "
+                f"expected at least {needed}; draw larger ones, on pixels that are seen"
+            )
+    if faults:
+        raise InputError(faults)
 
 
-def _geojson(path: Path) -> tuple[list[BaseGeometry], pyproj.CRS]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        shapes = [shapely.geometry.shape(g) for g in _geometries(content)]
-        crs = pyproj.CRS.from_user_input(_crs_name(content))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: {EXPECTED}: {' '.join(str(error).split())}") from None
-    except (shapely.errors.ShapelyError, pyproj.exceptions.ProjError) as error:
-        raise InputError(f"{path}: {EXPECTED}: {' '.join(str(error).split())}") from None
-    return shapes, crs
+def _pixels_a_sample(passes: tuple[SonarPass, ...]) -> float:
+    """Pixels to one independent sample, from the middle of each pass's first tile."""
+    looks = []
+    for sonar_pass in passes:
+        tile = sonar_pass.tiles[0]
+        row, column = tile.window.height // 2, tile.window.width // 2
+        middle = Window(row - MIDDLE, column - MIDDLE, 2 * MIDDLE, 2 * MIDDLE)
+        try:
+            part = np.asarray(read_tile(tile, middle.intersect(tile.window)), float)
+        except OSError:
+            continue
+        if np.isfinite(part).any():
+            looks.append(Look(part, np.full_like(part, np.nan)))
+    return noise_factor(looks) if looks else 1.0
 
 
-def _geometries(content: dict[str, Any]) -> list[dict[str, Any]]:
-    """Geometries of a GeoJSON object, whatever it is."""
-    kind = content["type"]
-    if kind == "FeatureCollection":
-        return [g for feature in content["features"] for g in _geometries(feature)]
-    if kind == "Feature":
-        return [] if content["geometry"] is None else _geometries(content["geometry"])
-    if kind == "GeometryCollection":
-        return [g for part in content["geometries"] for g in _geometries(part)]
-    return [content]
-
-
-def _crs_name(content: dict[str, Any]) -> str:
-    """Name the CRS: by default WGS 84 (RFC 7946), else what the older ``crs`` member says."""
-    return str(content["crs"]["properties"]["name"]) if content.get("crs") else WGS84
-
-
-def _geopackage(path: Path) -> tuple[list[BaseGeometry], pyproj.CRS]:
-    shapes: list[BaseGeometry] = []
-    crs = None
-    try:
-        for layer, kind in pyogrio.list_layers(path):
-            if kind is None:
-                continue
-            about, _, geometries, _ = pyogrio.raw.read(path, layer=layer, columns=[])
-            if about["crs"] is None or (crs is not None and about["crs"] != crs):
-                raise InputError(f"{path}: layer {layer!r}: expected polygons of one known CRS")
-            crs = about["crs"]
-            shapes += [g for g in shapely.from_wkb(geometries) if g is not None]
-        if crs is None:
-            raise InputError(f"{path}: holds no layer of polygons; {EXPECTED}")
-        return shapes, pyproj.CRS.from_user_input(crs)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise InputError(f"{path}: {EXPECTED}: {' '.join(str(error).split())}") from None
-    except (shapely.errors.ShapelyError, pyproj.exceptions.ProjError) as error:
-        raise InputError(f"{path}: {EXPECTED}: {' '.join(str(error).split())}") from None
+def _shown(area: BaseGeometry, sonar_pass: SonarPass, tile: Tile, crs: str, needed: int) -> int:
+    """Count a tile's valid pixels in an area, no further than are needed."""
+    x, y = shapely.get_coordinates(area.envelope).T
+    box = bounding_window(*tile.lattice.pixel_of(*transform_points(crs, tile.lattice.crs, x, y)))
+    box = box.intersect(tile.window)
+    shapely.prepare(area)
+    count = 0
+    for row in range(box.row, box.row + box.height, CHUNK):
+        for column in range(box.column, box.column + box.width, CHUNK):
+            part = Window(row, column, CHUNK, CHUNK).intersect(box)
+            try:
+                valid = np.isfinite(read_tile(tile, part))
+            except OSError:
+                continue  # an undecodable block fails its cells, not the survey
+            if valid.any():
+                seen = view(sonar_pass, crs, tile.lattice, part)
+                floor = seen.get("ground_x", seen["x"]), seen.get("ground_y", seen["y"])
+                valid &= np.isfinite(seen["ground_range"]) & shapely.contains_xy(area, *floor)
+                count += int(valid.sum())
+            if count >= needed:
+                return count
+    return count
 
 
 def cells_shown(training: tuple[Training, ...], grid: CellGrid) -> list[Cell]:

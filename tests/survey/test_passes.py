@@ -6,7 +6,8 @@ from affine import Affine
 import sasmap
 from sasmap.errors import InputError
 from sasmap.survey.cells import Cell
-from sasmap.survey.passes import open_survey, read_clip
+from sasmap.survey.opening import open_survey
+from sasmap.survey.passes import read_clip
 from tests.helpers import UTM, small_survey, with_pass, write_tile, write_track
 
 
@@ -139,12 +140,16 @@ def test_water_column_of_slant_tiles_is_no_sea_floor(tmp_path):
 def test_overlapping_tiles_of_two_pixel_sizes(tmp_path):
     path = small_survey(tmp_path)
     corner = Affine(0.25, 0, 500015.0, 0, -0.25, 3300020.0)
-    write_tile(tmp_path / "tiles" / "b.tif", np.full((40, 160), 7.0, "float32"), corner)
+    write_tile(
+        tmp_path / "tiles" / "b.tif",
+        7.0 + (np.arange(6400) % 2).reshape(40, 160).astype("float32"),
+        corner,
+    )
     survey = opened(path)
     assert survey.grid.size == 10.0  # of the first tile's pixels
     wide = [read_clip(survey.passes[0], survey.grid, Cell(0, c), "starboard") for c in range(4)]
     assert wide[0].shape == (20, 20)
-    assert (wide[3].values == 7.0).all()  # beyond the first tile
+    assert (wide[3].values >= 7.0).all()  # beyond the first tile
     assert wide[3].attrs["pixel_size"] == 0.25
 
 

@@ -9,7 +9,7 @@ import shapely
 import sasmap
 from sasmap.errors import InputError
 from sasmap.survey.cells import Cell
-from sasmap.survey.passes import open_survey
+from sasmap.survey.opening import open_survey
 from sasmap.survey.training import cells_shown, marked, read_training
 from tests.helpers import UTM, small_survey
 

@@ -1,0 +1,89 @@
+"""Altitude of a side-scan sonar from its water column: the first echo is the sea floor below."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from sasmap.survey.lattice import FloatArray
+
+# Pings and samples over which the logarithm of amplitude is averaged: speckle goes, the step from
+# water to floor stays.
+PINGS, SAMPLES = 5, 5
+# Samples of the transmitted pulse and what rings after it, as a share of the range; the share of
+# the range that altitude takes at most (a floor seen over less is none).
+PULSE, DEEPEST = 0.02, 0.8
+# Samples to either side over which the step is taken.
+REACH = 12
+# Share of the rise from water to floor at which the floor begins.
+RISEN = 0.08
+# Samples that the bottom may move from one ping to the next, and pings of its final median.
+STRIDE, MEDIAN = 3, 9
+
+
+def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> FloatArray:
+    """Find the sea floor below the sonar in every ping.
+
+    Parameters
+    ----------
+    samples : list of ndarray (pings, samples)
+        One or both sides, nearest sample first.
+    spacing : ndarray (pings,)
+        Range a sample, m.
+
+    Returns
+    -------
+    ndarray (pings,)
+        Altitude, m. The path through all pings along which amplitude steps up most (of the mean
+        logarithm before and after), found by dynamic programming, and from there back to where
+        amplitude begins to rise: a sonar that looks aside hears the floor straight below weakly.
+    """
+    length = min(s.shape[1] for s in samples)
+    stacked = np.mean([np.log1p(s[:, :length].astype(float)) for s in samples], axis=0)
+    level = scipy.ndimage.uniform_filter(stacked, (PINGS, SAMPLES))
+    total = np.cumsum(level, axis=1)
+    first, last = max(int(PULSE * length), REACH + 1), int(DEEPEST * length)
+    at = np.arange(first, max(last, first + 1)).clip(max=length - REACH - 1)
+    before = (total[:, at - 1] - total[:, at - REACH - 1]) / REACH
+    after = (total[:, at + REACH - 1] - total[:, at - 1]) / REACH
+    path = _onset(level, at[_best_path(after - before)], first)
+    # the last quiet sample's average holds no floor yet
+    path = path + SAMPLES // 2 + 1
+    smooth = scipy.ndimage.median_filter(path.astype(float), MEDIAN, mode="nearest")
+    return np.asarray(smooth * spacing, float)
+
+
+def _onset(level: FloatArray, path: NDArray[np.int64], first: int) -> NDArray[np.int64]:
+    """Last sample before the step that is hardly above the water column."""
+    onset = path.copy()
+    for k, step in enumerate(path):
+        water = float(np.median(level[k, first : max(step - REACH, first + 1)]))
+        top = float(level[k, min(step + REACH, level.shape[1] - 1)])
+        quiet = np.flatnonzero(level[k, first : step + 1] < water + RISEN * (top - water))
+        onset[k] = first + quiet[-1] if quiet.size else step
+    return onset
+
+
+def _best_path(score: FloatArray) -> NDArray[np.int64]:
+    """Column of each row such that the sum of scores is largest and steps are short."""
+    pings, places = score.shape
+    total = score[0]
+    back = np.zeros((pings, places), np.int64)
+    for k in range(1, pings):
+        best, origin = total.copy(), np.arange(places)
+        for step in (*range(-STRIDE, 0), *range(1, STRIDE + 1)):
+            moved = np.full(places, -np.inf)
+            moved[max(step, 0) : places + min(step, 0)] = total[
+                max(-step, 0) : places - max(step, 0)
+            ]
+            better = moved > best
+            best[better] = moved[better]
+            origin[better] = np.flatnonzero(better) - step
+        back[k] = origin
+        total = best + score[k]
+    path = np.empty(pings, np.int64)
+    path[-1] = int(total.argmax())
+    for k in range(pings - 1, 0, -1):
+        path[k - 1] = back[k, path[k]]
+    return path

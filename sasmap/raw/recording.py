@@ -1,0 +1,182 @@
+"""A raw side-scan recording: an XTF file as arrays of pings by samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError, check_file
+from sasmap.survey.lattice import FloatArray
+
+MAX_BYTES = 2**34
+EXPECTED = "expected a side-scan recording in XTF"
+# XTF's numbers (Triton, XTF file format X41): units of positions, kinds of channel, what range is.
+DEGREES, PORT, STARBOARD, GROUND_RANGE = 3, 1, 2, 2
+WGS84 = "EPSG:4326"
+FEWEST_PINGS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Pings of a line, in their order.
+
+    Attributes
+    ----------
+    path : Path
+    longitude, latitude : ndarray (n,)
+        Degrees, WGS 84.
+    altitude : ndarray (n,)
+        As recorded, m; zero where it was not.
+    number : ndarray (n,)
+        Place of each ping in the file.
+    samples : dict of str to ndarray (n, samples)
+        "port" and "starboard"; the first sample is nearest to the sonar.
+    spacing : ndarray (n,)
+        Range from one sample to the next, m.
+    ground : bool
+        Whether ranges are along the ground already.
+    """
+
+    path: Path
+    longitude: FloatArray
+    latitude: FloatArray
+    altitude: FloatArray
+    number: NDArray[np.int64]
+    samples: dict[str, NDArray[Any]]
+    spacing: FloatArray
+    ground: bool
+
+
+def read_xtf(path: Path, crs: str | None) -> Recording:
+    """Read an XTF file.
+
+    Parameters
+    ----------
+    path : Path
+    crs : str or None
+        CRS of positions in metres; files in degrees need none.
+
+    Raises
+    ------
+    InputError
+        Where the file, or pyxtf, is missing, or it holds no side-scan pings with positions.
+    """
+    check_file(path, EXPECTED, MAX_BYTES)
+    try:
+        import pyxtf  # of the extra `raw` alone
+    except ImportError:
+        raise InputError(
+            f"{path}: pyxtf is needed to read XTF: pip install 'sasmap[raw]'"
+        ) from None
+    try:
+        header, packets = pyxtf.xtf_read(str(path), [pyxtf.XTFHeaderType.sonar])
+    except Exception as error:  # it raises whatever a broken file leads it to
+        told = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: {EXPECTED}: {type(error).__name__}: {told}") from None
+    pings = packets.get(pyxtf.XTFHeaderType.sonar, [])
+    places = _channels(path, header)
+    kept = [k for k, ping in enumerate(pings) if len(ping.data) > max(places.values())]
+    if len(kept) < FEWEST_PINGS:
+        raise InputError(f"{path}: {EXPECTED} of at least {FEWEST_PINGS} pings, got {len(kept)}")
+    x, y = _positions(path, pings, kept)
+    known = (x != 0) | (y != 0)  # a ping before the first fix has none
+    if known.sum() < FEWEST_PINGS:
+        raise InputError(f"{path}: its pings have no positions; {EXPECTED} with navigation")
+    kept = [k for k, there in zip(kept, known, strict=True) if there]
+    longitude, latitude = _degrees(path, header, x[known], y[known], crs)
+    return Recording(
+        path,
+        longitude,
+        latitude,
+        np.array([_altitude(pings[k]) for k in kept]),
+        np.array(kept),
+        {side: _oriented(side, _stacked(pings, kept, at)) for side, at in places.items()},
+        _spacing(path, pings, kept, next(iter(places.values()))),
+        any(int(info.CorrectionFlags) == GROUND_RANGE for info in header.sonar_info),
+    )
+
+
+def _channels(path: Path, header: Any) -> dict[str, int]:
+    """Place of each side's first channel."""
+    places: dict[str, int] = {}
+    for k, info in enumerate(header.sonar_info):
+        side = {PORT: "port", STARBOARD: "starboard"}.get(int(info.TypeOfChannel))
+        if side is not None:
+            places.setdefault(side, k)
+    if not places:
+        raise InputError(f"{path}: holds no port or starboard channel; {EXPECTED}")
+    return places
+
+
+def _positions(path: Path, pings: list[Any], kept: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Of the sensor, or of the ship where the sensor's are not recorded."""
+    for prefix in ("Sensor", "Ship"):
+        x = np.array([float(getattr(pings[k], f"{prefix}Xcoordinate")) for k in kept])
+        y = np.array([float(getattr(pings[k], f"{prefix}Ycoordinate")) for k in kept])
+        if ((x != 0) | (y != 0)).sum() > len(kept) / 2:
+            return x, y
+    raise InputError(f"{path}: its pings have no positions; {EXPECTED} with navigation")
+
+
+def _degrees(
+    path: Path, header: Any, x: FloatArray, y: FloatArray, crs: str | None
+) -> tuple[FloatArray, FloatArray]:
+    degrees = int(header.NavUnits) == DEGREES or (np.abs(x).max() <= 360 and np.abs(y).max() <= 90)
+    if degrees:
+        return x, y
+    if crs is None:
+        raise InputError(
+            f"{path}: positions are in metres: name their CRS, for example --crs EPSG:32619"
+        )
+    try:
+        move = pyproj.Transformer.from_crs(crs, WGS84, always_xy=True)
+    except pyproj.exceptions.ProjError:
+        raise InputError(f"--crs: expected a CRS such as EPSG:32619, got {crs!r}") from None
+    longitude, latitude = move.transform(x, y)
+    if not (np.isfinite(longitude).all() and np.isfinite(latitude).all()):
+        raise InputError(f"{path}: positions lie outside what --crs {crs} can hold")
+    return np.asarray(longitude, float), np.asarray(latitude, float)
+
+
+def _altitude(ping: Any) -> float:
+    first = float(ping.SensorPrimaryAltitude)
+    return first if first > 0 else float(ping.SensorAuxAltitude)
+
+
+def _spacing(path: Path, pings: list[Any], kept: list[int], at: int) -> FloatArray:
+    headers = [pings[k].ping_chan_headers[at] for k in kept]
+    counts = [len(pings[k].data[at]) for k in kept]
+    ranges = np.array([float(h.SlantRange) or float(h.GroundRange) for h in headers])
+    if not (ranges > 0).all():
+        raise InputError(f"{path}: ping {kept[int(np.argmin(ranges))]}: no range is recorded")
+    return np.asarray(ranges / np.array(counts), float)
+
+
+def _stacked(pings: list[Any], kept: list[int], at: int) -> NDArray[Any]:
+    """Stack the samples of a channel, pings of fewer filled with zeros."""
+    parts = [np.asarray(pings[k].data[at]) for k in kept]
+    length = max(part.size for part in parts)
+    stacked = np.zeros((len(parts), length), np.result_type(*{part.dtype for part in parts}))
+    for row, part in zip(stacked, parts, strict=True):
+        row[: part.size] = part
+    # a signed channel holds the wave itself: its envelope is what is closest at hand
+    return np.abs(stacked) if stacked.dtype.kind == "i" else stacked
+
+
+def _oriented(side: str, samples: NDArray[Any]) -> NDArray[Any]:
+    """Turn samples so that the nearest is the first: port is recorded from the far end.
+
+    Some programs record both from the sonar on: there the transmitted pulse, the strongest of all,
+    stands at the start.
+    """
+    if side != "port":
+        return samples
+    profile = samples.mean(axis=0, dtype=float)
+    tenth = max(profile.size // 10, 1)
+    near_first = profile[:tenth].max() > 2 * profile[-tenth:].max()
+    return samples if near_first else samples[:, ::-1]

@@ -1,0 +1,393 @@
+"""What a tile's numbers are: amplitude, intensity or decibels, and whether they can be that.
+
+The check rests on speckle. Where many scatterers share a pixel, amplitude follows a Rayleigh
+distribution: its standard deviation is 0.52 of its mean and its skewness 0.63 whatever the gain
+(Goodman, Speckle Phenomena in Optics, 2007, section 3.2). Texture (K distribution) and structure of
+the sea floor only raise both. Intensity has 1.0 and 2.0; decibels are skewed to the left; averages,
+interpolation and display scaling have less contrast. Statistics are taken over many small blocks,
+so that structure wider than a block does not count, and from the blocks with least contrast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from sasmap.survey.lattice import FloatArray
+
+Kind = Literal["linear", "intensity", "db"]
+KINDS: tuple[Kind, ...] = ("linear", "intensity", "db")
+
+# Pixels a side of a block: wide enough for a standard error of 0.03 of its contrast, and narrower
+# than a quarter of most ripples.
+BLOCK = 16
+# Blocks below which statistics say nothing: the quartile of fewer strays by more than the limits
+# allow (measured on Rayleigh speckle).
+FEWEST_BLOCKS = 6
+# Contrast (standard deviation over mean, lower quartile of the blocks) that amplitude can have.
+# Measured: Rayleigh speckle 0.51, K-distributed with shape 1 0.75, with shape 0.5 (which is the
+# same as intensity) 0.95; two looks averaged 0.35, gamma 0.7 0.38, 0.85 0.45 (which lowers A_H by a
+# seventh), bilinear resampling 0.33, intensity 0.95.
+CONTRAST = (0.465, 0.85)
+# Where short ripples throw shadows into every block contrast is more, at most 2.1, but skewness
+# then at most 1.1 times that (1.2 where there are few shadows); intensity has 1.7 times.
+SHADOWED, MOST_SHADOWED = 1.4, 2.5
+# Blocks of which the quartile is that sure; of fewer it strays by this much more.
+SURE_BLOCKS, STRAY = 60, 0.035
+# Correlated speckle varies less within a block than about its mean: by the area over which it is
+# correlated, summed up to so many pixels, on so many blocks at most.
+LAGS, CORRELATED_BLOCKS = 5, 400
+# Least skewness of the blocks with least contrast. Rayleigh 0.55, correlated over four pixels
+# 0.25, uniform (an equalised histogram) 0, compressed highlights 0.2 and less.
+SKEWNESS = 0.22
+# Skewness of averaged intensity at the contrast of amplitude: four looks 0.85, Rayleigh 0.55.
+AVERAGED_SKEWNESS, AVERAGED_CONTRAST = 0.78, 0.53
+# Decibels, whatever their offset and scale, have a skewness of -1; gamma 0.45 has -0.1.
+LOGARITHMIC = -0.6
+# Share of pixels under a tenth of their block's median: Rayleigh 0.007, K with shape 1 0.02 at a
+# skewness above 1.2; more at less skewness is a black level that was subtracted, unless they lie
+# together: in shadows most neighbours of a dark pixel are dark, in speckle few.
+DARK_SHARE, DARK_SKEWNESS, TOGETHER = 0.05, 1.2, 0.5
+# Skewness of the blocks with least contrast below which numbers may be decibels of the usual scale:
+# those have -0.95, what was equalised -0.35, saturated or compressed more.
+DECIBELS = -0.45
+# Steps of the grey scale that a block's mean must have: below, rounding makes the contrast.
+FEWEST_STEPS = 4.0
+# Different values of a tile, and steps of its median block, below which grey levels are few.
+FEW_LEVELS, FEW_STEPS = 17, 2.0
+# Share of pixels at the largest value that is no chance: speckle reaches five times its mean in
+# under 1e-8 of pixels.
+SATURATED = 0.005
+# Largest standard deviation of negative numbers' share that noise about a black level explains.
+NEGATIVE = 0.002
+# Largest exponent, 20 log10, that a decibel can stand for: beyond, numbers are no decibels.
+LARGEST_DB = 400.0
+
+Sample = list[FloatArray]
+
+
+class Verdict(NamedTuple):
+    """What is odd about a tile's numbers.
+
+    Attributes
+    ----------
+    text : str
+        What was found, what was expected and what to do.
+    refused : bool
+        Whether numbers of that kind cannot be used at all.
+    """
+
+    text: str
+    refused: bool = False
+
+
+@dataclass(frozen=True)
+class Speckle:
+    """Statistics of small blocks.
+
+    Attributes
+    ----------
+    blocks : int
+    contrast : float
+        Standard deviation over mean, lower quartile, as of uncorrelated speckle.
+    skewness, least_skewness : float
+        Median of all blocks, and of the half with least contrast.
+    dark, together : float
+        Share of pixels under a tenth of their block's median, and of the neighbours of such pixels
+        that are so as well, along rows or columns.
+    mean : float
+        Median of the blocks' means.
+    """
+
+    blocks: int
+    contrast: float
+    skewness: float
+    least_skewness: float
+    dark: float
+    together: float
+    mean: float
+
+    @property
+    def enough(self) -> bool:
+        """Whether there were blocks enough to judge by."""
+        return self.blocks >= FEWEST_BLOCKS
+
+    @property
+    def fits(self) -> bool:
+        """Whether speckle of linear amplitude can look so."""
+        return (
+            self.least_contrast <= self.contrast
+            and not self.too_much
+            and self.least_skewness >= SKEWNESS
+            and not self.averaged_intensity
+        )
+
+    @property
+    def too_much(self) -> bool:
+        """Whether there is more contrast than texture and shadows make."""
+        shadowed = self.least_skewness < SHADOWED * self.contrast
+        return self.contrast > (MOST_SHADOWED if shadowed else CONTRAST[1])
+
+    @property
+    def least_contrast(self) -> float:
+        """Least contrast that amplitude can have, as far as so many blocks tell."""
+        return CONTRAST[0] - (STRAY if self.blocks < SURE_BLOCKS else 0.0)
+
+    @property
+    def averaged_intensity(self) -> bool:
+        """Whether contrast is amplitude's, but skewness that of averaged intensity."""
+        return self.contrast < AVERAGED_CONTRAST and self.least_skewness > AVERAGED_SKEWNESS
+
+
+def to_linear(values: NDArray[np.floating], kind: Kind) -> NDArray[np.floating]:
+    """Convert a tile's numbers to linear amplitude.
+
+    Parameters
+    ----------
+    values : ndarray
+        As stored, scale and offset applied.
+    kind : {"linear", "intensity", "db"}
+
+    Returns
+    -------
+    ndarray
+        NaN where there is no amplitude: negative numbers, unless they are decibels.
+    """
+    if kind == "db":
+        bounded = np.where(np.abs(values) <= LARGEST_DB, values, np.nan)
+        return np.asarray(10.0 ** (bounded / 20.0), values.dtype)
+    known = np.where(values >= 0, values, np.nan)
+    return np.asarray(np.sqrt(known) if kind == "intensity" else known, values.dtype)
+
+
+def speckle_of(sample: Sample, least: float = 0.0) -> Speckle:
+    """Take statistics over the blocks of a sample.
+
+    Parameters
+    ----------
+    sample : list of ndarray
+        Pieces of a tile, NaN where there is nothing.
+    least : float
+        Blocks of a smaller mean are passed over.
+    """
+    parts = [_blocks(piece) for piece in sample]
+    blocks = np.concatenate(parts) if parts else np.empty((0, BLOCK**2))
+    mean, spread = blocks.mean(axis=1), blocks.std(axis=1)
+    # a block of one value is no speckle; rounding in the mean of large numbers is no spread
+    kept = (spread > 1e-6 * np.abs(mean)) & (mean >= least) & (mean != 0)
+    blocks, mean, spread = blocks[kept], mean[kept], spread[kept]
+    if not blocks.size:
+        return Speckle(0, *[np.nan] * 6)
+    contrast = spread / np.abs(mean)
+    skewness = (((blocks - mean[:, None]) / spread[:, None]) ** 3).mean(axis=1)
+    plain = contrast <= np.median(contrast)
+    dark = blocks < 0.1 * np.median(blocks, axis=1, keepdims=True)
+    return Speckle(
+        blocks.shape[0],
+        float(np.quantile(contrast, 0.25) / _within(blocks[plain], mean[plain])),
+        float(np.median(skewness)),
+        float(np.median(skewness[plain])),
+        float(dark.mean()),
+        _together(dark.reshape(-1, BLOCK, BLOCK)),
+        float(np.median(mean)),
+    )
+
+
+def _together(dark: NDArray[np.bool_]) -> float:
+    """Share of the neighbours of dark pixels that are dark, along rows or columns."""
+    count = max(int(dark[:, 1:, 1:].sum()), 1)
+    down = int((dark[:, 1:, 1:] & dark[:, :-1, 1:]).sum())
+    across = int((dark[:, 1:, 1:] & dark[:, 1:, :-1]).sum())
+    return max(down, across) / count
+
+
+def _within(blocks: FloatArray, mean: FloatArray) -> float:
+    """Return the standard deviation of correlated speckle within a block over its true one."""
+    some = slice(None, None, blocks.shape[0] // CORRELATED_BLOCKS + 1)
+    part = (blocks[some] - mean[some, None]).reshape(-1, BLOCK, BLOCK)
+    variance = float(np.mean(part**2))
+    area = 0.0
+    for i in range(-LAGS, LAGS + 1):
+        for j in range(-LAGS, LAGS + 1):
+            one = part[:, max(i, 0) : BLOCK + min(i, 0), max(j, 0) : BLOCK + min(j, 0)]
+            other = part[:, max(-i, 0) : BLOCK - max(i, 0), max(-j, 0) : BLOCK - max(j, 0)]
+            area += max(float(np.mean(one * other)) / variance, 0.0)
+    return float(np.sqrt(max(1.0 - area / BLOCK**2, 0.5)))
+
+
+def _blocks(piece: FloatArray) -> FloatArray:
+    """Cut a piece into blocks without a gap, a row each."""
+    rows, columns = (n // BLOCK for n in piece.shape)
+    cut = piece[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    blocks = cut.transpose(0, 2, 1, 3).reshape(-1, BLOCK**2)
+    return np.asarray(blocks[np.isfinite(blocks).all(axis=1)], float)
+
+
+def judge(sample: Sample, kind: Kind) -> Iterator[Verdict]:
+    """Say what is odd about a tile's numbers.
+
+    Parameters
+    ----------
+    sample : list of ndarray
+        Pieces of a tile as stored, scale and offset applied, NaN where nodata or fill.
+    kind : {"linear", "intensity", "db"}
+        What the survey file says they are.
+
+    Yields
+    ------
+    Verdict
+    """
+    values = np.concatenate([piece[np.isfinite(piece)] for piece in sample]) if sample else None
+    if values is None or not values.size:
+        return
+    levels = np.unique(values)
+    if levels.size == 1:
+        yield Verdict(f"holds one value only ({levels[0]:g}): expected amplitudes")
+        return
+    yield from _spoiled(sample, values, levels)
+    step = float(np.diff(levels).min())
+    contradiction = _negative(sample, values, kind) or _contradiction(sample, kind, step)
+    if contradiction is not None:
+        yield contradiction
+
+
+def _spoiled(sample: Sample, values: FloatArray, levels: FloatArray) -> Iterator[Verdict]:
+    """Saturation, few grey levels, lossy compression: whatever the numbers mean."""
+    top = float(levels[-1])
+    share = float((values == top).mean())
+    if share > SATURATED and levels.size > 2:
+        yield Verdict(
+            f"{share:.1%} of its pixels have the largest value, {top:g}: saturated, which lowers "
+            "contrast; export it with less gain"
+        )
+    middle = speckle_of(sample).mean / float(np.diff(levels).min())
+    # of numbers about zero the mean says nothing
+    if levels.size < FEW_LEVELS or (levels[0] >= 0 and middle < FEW_STEPS):
+        yield Verdict(
+            f"has few grey levels ({levels.size} different values): contrast of dark floor is lost "
+            "to rounding; export it with more gain, or in 16 bits"
+        )
+    if any(_jpeg_blocks(piece) for piece in sample[:: len(sample) // JPEG_PIECES + 1]):
+        yield Verdict(
+            "has the 8 x 8 blocks of JPEG compression, which changes speckle; export it lossless"
+        )
+
+
+def _negative(sample: Sample, values: FloatArray, kind: Kind) -> Verdict | None:
+    """Negative numbers, which neither amplitude nor intensity has."""
+    share = float((values < 0).mean())
+    if kind == "db" or share <= NEGATIVE:
+        return None
+    told = f"{share:.1%} of its pixels are negative, which {_name(kind)} cannot be"
+    if _fitting(sample, "db"):
+        return Verdict(f"{told}: they look like decibels; try amplitude: db", refused=True)
+    return Verdict(
+        f"{told}: expected decibels (amplitude: db) or numbers from 0 up; declare what stands for "
+        "no data as nodata, and undo what was subtracted",
+        refused=True,
+    )
+
+
+def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
+    """Contrast and skewness that speckle of the told kind cannot have."""
+    raw = speckle_of(sample, 0.0 if kind == "db" else FEWEST_STEPS * step)
+    told = speckle_of([np.asarray(to_linear(p, kind)) for p in sample]) if kind != "linear" else raw
+    if not told.enough:
+        return _unlike_decibels(raw) if kind == "db" else None
+    if told.fits:
+        return _black_level(raw) if kind == "linear" else None
+    found = f"contrast {told.contrast:.2f} and skewness {told.least_skewness:.2f}"
+    start = f"does not look like {_name(kind)} ({found}; speckle has 0.52 and 0.6)"
+    others = [other for other in KINDS if other != kind and _fitting(sample, other)]
+    if raw.least_skewness > DECIBELS and "db" in others:
+        others.remove("db")
+    if others:
+        sure = "db" in (others[0], kind)
+        return Verdict(f"{start}: try amplitude: {others[0]}", refused=sure)
+    return Verdict(f"{start}: {_cause(raw, told, kind)}")
+
+
+def _unlike_decibels(raw: Speckle) -> Verdict | None:
+    """Numbers that cannot be turned from decibels at all."""
+    if not raw.enough:
+        return None
+    return Verdict(
+        f"does not look like decibels (about {raw.mean:.3g}): try amplitude: linear", refused=True
+    )
+
+
+def _black_level(raw: Speckle) -> Verdict | None:
+    if raw.dark <= DARK_SHARE or raw.least_skewness >= DARK_SKEWNESS or raw.together > TOGETHER:
+        return None
+    return Verdict(
+        f"{raw.dark:.0%} of its pixels are nearly black, where speckle has 1 %: a black level was "
+        "subtracted; export it without"
+    )
+
+
+def _fitting(sample: Sample, kind: Kind) -> bool:
+    """Whether speckle allows that numbers are of a kind."""
+    told = speckle_of([np.asarray(to_linear(piece, kind)) for piece in sample])
+    return told.enough and told.fits
+
+
+def _cause(raw: Speckle, told: Speckle, kind: Kind) -> str:
+    """Say what may have been done to the numbers, and what to do."""
+    if raw.skewness < LOGARITHMIC:
+        return (
+            "they look like decibels of another scale, as for display; export linear amplitude, or "
+            "dB for amplitude: db"
+        )
+    if told.averaged_intensity and kind == "linear":
+        return "they look like averaged intensity; try amplitude: intensity"
+    if told.too_much:
+        return (
+            "it has more contrast, as intensity has (amplitude: intensity) or what was stretched "
+            "for display; export linear amplitude"
+        )
+    return (
+        "it has less contrast, as what was averaged, interpolated or scaled for display (gamma, "
+        "log, equalised) has; A_H will be too small; export linear amplitude at full resolution"
+    )
+
+
+def _name(kind: Kind) -> str:
+    return {"linear": "linear amplitude", "intensity": "intensity", "db": "decibels"}[kind]
+
+
+# JPEG: coefficients of 8 x 8 blocks are multiples of a step, most of them zero. Ratio of those that
+# are zero at the blocks' own offset to those at others (speckle at most 2, quality 95 at least 6),
+# and how many standard deviations of the count that must be (at most 10, at least 46).
+JPEG_SIDE, JPEG_RATIO, JPEG_SIGMAS = 8, 3.5, 20.0
+# Coefficients nearer to zero than rounding to whole grey levels makes them (sd 0.29), and spread
+# that they need beside it to tell.
+JPEG_ZERO, JPEG_SPREAD = 0.5, 4.0
+# Pixels of a piece that are looked at, the least that tell, and pieces at most.
+JPEG_MOST, JPEG_LEAST, JPEG_PIECES = 136, 40, 6
+
+
+def _jpeg_blocks(piece: FloatArray) -> bool:
+    """Whether a piece shows JPEG's quantised cosine coefficients, at any offset."""
+    part = np.nan_to_num(piece[:JPEG_MOST, :JPEG_MOST], nan=0.0)
+    whole = (part == np.rint(part)).all()
+    if min(part.shape) < JPEG_LEAST or part.std() < JPEG_SPREAD or not whole:
+        return False
+    scores = [_zeros(part[i:, j:]) for i in range(JPEG_SIDE) for j in range(JPEG_SIDE)]
+    # only one offset has the blocks; a floor with few grey values raises all alike
+    best, usual = max(scores), float(np.median(scores))
+    return best > JPEG_RATIO * usual and best - usual > JPEG_SIGMAS * np.sqrt(usual + 1.0)
+
+
+def _zeros(part: FloatArray) -> int:
+    """Count the high-frequency cosine coefficients near zero."""
+    rows, columns = (n // JPEG_SIDE for n in part.shape)
+    cut = part[: rows * JPEG_SIDE, : columns * JPEG_SIDE]
+    blocks = cut.reshape(rows, JPEG_SIDE, columns, JPEG_SIDE).transpose(0, 2, 1, 3)
+    blocks = blocks[blocks.std(axis=(2, 3)) > JPEG_SPREAD]  # saturated blocks have no waves
+    wave = scipy.fft.dctn(blocks, axes=(1, 2), norm="ortho")
+    return int((np.abs(wave[:, 3:, 3:]) < JPEG_ZERO).sum())

@@ -1,0 +1,84 @@
+"""What a tile holds: fill that no nodata value tells, and numbers that are what they should be.
+
+The tile is read once from end to end for its fill, and a sample of it for its numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import rasterio
+
+from sasmap.survey.amplitude import judge
+from sasmap.survey.fill import find_fill
+from sasmap.survey.lattice import FloatArray, Window
+from sasmap.survey.sidecars import unread
+from sasmap.survey.tiles import GDAL_OPTIONS, Tile, read_numbers
+
+# Pixels a side of the windows that numbers are judged from, and windows a side of the tile.
+SIDE, WINDOWS = 128, 6
+
+
+def look_into(tile: Tile) -> tuple[Tile, list[str], list[str]]:
+    """Find a tile's fill and judge its numbers.
+
+    Parameters
+    ----------
+    tile : Tile
+
+    Returns
+    -------
+    tile : Tile
+        With its fill.
+    warnings, faults : list of str
+        A line each.
+    """
+    warnings = list(unread(tile.path, tile.lattice.transform))
+    faults: list[str] = []
+    try:
+        # the whole tile is read: its blocks are decoded by all cores
+        options = {**GDAL_OPTIONS, "GDAL_NUM_THREADS": "ALL_CPUS"}
+        with rasterio.Env(**options), rasterio.open(tile.path, driver="GTiff") as source:
+            tile = replace(tile, fill=find_fill(source))
+            if source.compression is not None and "JPEG" in source.compression.name.upper():
+                warnings.append(
+                    f"{tile.path}: JPEG compression changes speckle; export it lossless"
+                )
+    except rasterio.errors.RasterioError:
+        return tile, warnings, faults  # what cannot be decoded fails its cells, and says so there
+    for fill in tile.fill:
+        share = fill.area / (tile.window.height * tile.window.width)
+        warnings.append(
+            f"{tile.path}: {share:.0%} of it, at its edge, is exactly {fill.value:g} and no nodata "
+            f"or mask says so: treated as not seen; declare it, for example "
+            f"gdal_edit.py -a_nodata {fill.value:g} {tile.path.name}"
+        )
+    for verdict in judge(list(_sample(tile)), tile.kind):
+        text = f"{tile.path}: {verdict.text}"
+        (faults if verdict.refused else warnings).append(text)
+    return tile, warnings, faults
+
+
+def _sample(tile: Tile) -> Iterator[FloatArray]:
+    """Read windows all over a tile, row by row so that strips are decoded once."""
+    for window in sample_windows(tile.window):
+        try:
+            yield np.asarray(read_numbers(tile, window), float)
+        except OSError:
+            continue  # an undecodable block fails its cells, not the survey
+
+
+def sample_windows(whole: Window) -> Iterator[Window]:
+    """Windows spread over a tile; all of a small one."""
+    for row in _starts(whole.height):
+        for column in _starts(whole.width):
+            height, width = min(SIDE, whole.height - row), min(SIDE, whole.width - column)
+            yield Window(row, column, height, width)
+
+
+def _starts(length: int) -> list[int]:
+    if length <= SIDE * WINDOWS:
+        return list(range(0, length, SIDE))
+    return [k * (length - SIDE) // (WINDOWS - 1) for k in range(WINDOWS)]

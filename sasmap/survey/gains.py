@@ -1,0 +1,136 @@
+"""Gains of the tiles of a pass compared where they overlap or meet: they must be one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import shapely
+
+from sasmap.survey.lattice import FloatArray, Window, bounding_window
+from sasmap.survey.tiles import Amplitude, Tile, gather
+from sasmap.threads import mapped
+
+# Decibels by which the same sea floor may differ, and sea floor on either side of a seam, which is
+# not the same.
+OVERLAP_DB, SEAM_DB = 1.0, 3.0
+# Standard errors of the mean of speckle that a difference must exceed; pixels count as a quarter,
+# being correlated over two in each direction.
+ERRORS, INDEPENDENT = 4.0, 0.25
+# Decibels a unit of relative change of intensity.
+DB = 10.0 / np.log(10.0)
+# Pixels a side of the pieces that are compared, of strips along a seam, and least pixels.
+SIDE, STRIP, LEAST = 192, 24, 400
+# Pairs of tiles that are compared, at most: a file is opened twice for each.
+MOST_PAIRS = 3000
+
+
+def compare_gains(tiles: tuple[Tile, ...], crs: str) -> list[str]:
+    """Name tiles of a pass whose gain differs from a neighbour's.
+
+    Parameters
+    ----------
+    tiles : tuple of Tile
+        Seen by one line.
+    crs : str
+        The survey's.
+
+    Returns
+    -------
+    list of str
+        A line for each tile that differs.
+    """
+    pairs = list(_neighbours(tiles, crs))[:MOST_PAIRS]
+    told: dict[Tile, str] = {}
+    for (_, tile), text in zip(pairs, mapped(_compare, pairs, os.cpu_count()), strict=True):
+        if text is not None:
+            told.setdefault(tile, text)
+    return list(told.values())
+
+
+def _neighbours(tiles: tuple[Tile, ...], crs: str) -> Iterator[tuple[Tile, Tile]]:
+    """Pairs of tiles that overlap or meet, in the tiles' order."""
+    if len(tiles) < 2:
+        return
+    shapes = []
+    for tile in tiles:
+        x, y = tile.outline_in(crs)
+        hull = shapely.convex_hull(shapely.multipoints(np.column_stack([x, y])))
+        shapes.append(hull.buffer(tile.pixel_size))
+    tree = shapely.STRtree(shapes)
+    found = tree.query(shapes, predicate="intersects").T
+    for i, j in sorted((int(i), int(j)) for i, j in found if i < j):
+        yield tiles[i], tiles[j]
+
+
+def _compare(pair: tuple[Tile, Tile]) -> str | None:
+    """Say how a tile's gain differs from another's, if it does."""
+    first, second = pair
+    try:
+        difference, limit, where = _overlapping(first, second) or _meeting(first, second)
+    except OSError:
+        return None  # an undecodable block fails its cells, not the survey
+    if not abs(difference) > limit:
+        return None
+    word = "brighter" if difference > 0 else "darker"
+    return (
+        f"{second.path}: {abs(difference):.1f} dB {word} than {first.path.name} where they "
+        f"{where}: expected tiles of one gain in a pass; give each gain its own pass, or scale "
+        "them alike"
+    )
+
+
+def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:
+    """Difference over the pixels that both show, and the most it may be."""
+    for part in _pieces(_box(first, second, 0).intersect(first.window)):
+        a, b = (gather((tile,), first.lattice, part) for tile in (first, second))
+        both = np.isfinite(a) & np.isfinite(b)
+        if both.sum() >= LEAST:
+            return _difference(a[both], b[both], OVERLAP_DB, "overlap")
+    return None
+
+
+def _meeting(first: Tile, second: Tile) -> tuple[float, float, str]:
+    """Difference between the strips along a seam."""
+    one = _box(first, second, STRIP).intersect(first.window)
+    other = _box(second, first, STRIP).intersect(second.window)
+    parts: list[FloatArray] = []
+    for tile, box in ((first, one), (second, other)):
+        values = [gather((tile,), tile.lattice, part) for part in _pieces(box)]
+        known = [np.asarray(v[np.isfinite(v)], float) for v in values]
+        parts.append(np.concatenate(known) if known else np.empty(0))
+    if min(part.size for part in parts) < LEAST:
+        return 0.0, SEAM_DB, ""
+    return _difference(parts[0], parts[1], SEAM_DB, "meet")
+
+
+def _difference(a: Amplitude, b: Amplitude, limit: float, where: str) -> tuple[float, float, str]:
+    """Mean intensity of `b` over that of `a`, dB, and the most it may be."""
+    means = [float(np.mean(np.square(v, dtype=float))) for v in (a, b)]
+    if min(means) <= 0:
+        return 0.0, limit, where
+    error = DB * np.sqrt(1 / (INDEPENDENT * a.size) + 1 / (INDEPENDENT * b.size))
+    return 10.0 * float(np.log10(means[1] / means[0])), max(limit, ERRORS * error), where
+
+
+def _box(tile: Tile, other: Tile, margin: int) -> Window:
+    """Where another tile lies in a tile's pixels, with a margin."""
+    row, column = tile.lattice.pixel_of(*other.outline_in(tile.lattice.crs))
+    box = bounding_window(row, column)
+    return Window(
+        box.row - margin, box.column - margin, box.height + 2 * margin, box.width + 2 * margin
+    )
+
+
+def _pieces(box: Window) -> Iterator[Window]:
+    """Pieces of a box: its middle, then towards its corners."""
+    if box.empty:
+        return
+    height, width = min(SIDE, box.height), min(SIDE, box.width)
+    for share in (0.5, 0.1, 0.9):
+        row = box.row + int(share * (box.height - height))
+        column = box.column + int(share * (box.width - width))
+        yield Window(row, column, height, width)
+        if (height, width) == (box.height, box.width):
+            return

@@ -1,0 +1,302 @@
+"""A survey's files found and checked before any work starts."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pyproj
+import shapely
+import xarray as xr
+from shapely.geometry.base import BaseGeometry
+
+from sasmap.config import PassSettings, Survey
+from sasmap.errors import InputError
+from sasmap.productnames import PRODUCTS
+from sasmap.survey.cells import CellGrid, check_grid_crs, lay_grid
+from sasmap.survey.contents import look_into
+from sasmap.survey.gains import compare_gains
+from sasmap.survey.navigation import read_navigation
+from sasmap.survey.passes import Side, SonarPass, open_lazily
+from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
+from sasmap.survey.seen import assign_tiles, check_altitude, shows_floor
+from sasmap.survey.tiles import Tile, find_tiles, inspect_tile
+from sasmap.threads import mapped
+
+T = TypeVar("T")
+
+log = logging.getLogger("sasmap")
+
+
+@dataclass(frozen=True)
+class OpenSurvey:
+    """A survey whose files were found and checked.
+
+    Attributes
+    ----------
+    settings : Survey
+    grid : CellGrid
+    passes : tuple of SonarPass
+    warnings : tuple of str
+        What is odd but no fault, a line each.
+    area : shapely geometry or None
+        Cells that it does not touch are left out, in the survey's CRS.
+    """
+
+    settings: Survey
+    grid: CellGrid
+    passes: tuple[SonarPass, ...]
+    warnings: tuple[str, ...]
+    area: BaseGeometry | None = None
+
+    @property
+    def excluded(self) -> BaseGeometry | None:
+        """Where pixels are left out."""
+        return self.passes[0].excluded
+
+    @property
+    def polygon_files(self) -> list[Path]:
+        """Files of the area and of what is left out."""
+        named = (self.settings.area, self.settings.exclude)
+        return [self.settings.resolve(name) for name in named if name is not None]
+
+
+class _Faults:
+    """Faults of several files, gathered so that all are told at once."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def gather(self, call: Callable[[], T]) -> T | None:
+        try:
+            return call()
+        except InputError as error:
+            self.lines.extend(error.faults)
+            return None
+
+    def raise_any(self) -> None:
+        if self.lines:
+            raise InputError(dict.fromkeys(self.lines))
+
+
+def open_survey(survey: Survey) -> OpenSurvey:
+    """Find and check every file of a survey before any work starts.
+
+    Parameters
+    ----------
+    survey : Survey
+
+    Returns
+    -------
+    OpenSurvey
+
+    Raises
+    ------
+    InputError
+        With a line for every fault found in tiles, navigation and polygons.
+    """
+    faults = _Faults()
+    found = [faults.gather(lambda s=s: _inspect_tiles(survey, s)) for s in survey.passes]  # type: ignore[misc]
+    faults.raise_any()
+    tiles = [part or () for part in found]
+    crs = _product_crs(survey, [tile for part in tiles for tile in part])
+    grid = lay_grid([tile for part in tiles for tile in part], crs, survey.window)
+    warnings: list[str] = []
+    log.info("checking %d tiles and %d navigation files", sum(map(len, tiles)), len(tiles))
+    tiles = [_look_into(part, warnings, faults) for part in tiles]
+    area = faults.gather(lambda: _polygons(survey, "area", grid, warnings))
+    excluded = faults.gather(lambda: _polygons(survey, "exclude", grid, warnings))
+    passes: list[SonarPass] = []
+    for settings, part in zip(survey.passes, tiles, strict=True):
+        lines = faults.gather(
+            lambda s=settings, p=part: _open(survey, s, p, crs, excluded, warnings)  # type: ignore[misc]
+        )
+        passes += lines or []
+    faults.raise_any()
+    check_kept(survey, (f for p in passes for f in p.files))
+    return OpenSurvey(survey, grid, tuple(passes), tuple(dict.fromkeys(warnings)), area)
+
+
+def _look_into(tiles: tuple[Tile, ...], warnings: list[str], faults: _Faults) -> tuple[Tile, ...]:
+    """Find fill in tiles and judge their numbers."""
+    looked = []
+    for tile, odd, wrong in mapped(look_into, tiles, os.cpu_count()):
+        looked.append(tile)
+        warnings += odd
+        faults.lines += wrong
+    return tuple(looked)
+
+
+def _polygons(survey: Survey, key: str, grid: CellGrid, warnings: list[str]) -> BaseGeometry | None:
+    """Read the polygons that a key of the survey file names."""
+    name = getattr(survey, key)
+    if name is None:
+        return None
+    path = survey.resolve(name)
+    found = read_polygons(path, grid, f"{EXPECTED} for {key}")
+    if not on_tiles(found, grid):
+        told = f"{path}: no polygon of it lies on the survey's tiles"
+        if key == "area":
+            raise InputError(told)
+        warnings.append(f"{told}: nothing is left out")
+        return None
+    shapely.prepare(found)
+    return found
+
+
+def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
+    faults = _Faults()
+    paths: list[Path] = []
+    for pattern in settings.tiles:
+        literal = survey.resolve(pattern)
+        found = [
+            path
+            for path in find_tiles(survey.path.parent, pattern)
+            if path == literal or not _is_product(survey, path)
+        ]
+        if not found:
+            faults.lines.append(
+                f"{survey.path}: passes.{settings.name}.tiles: no file matches {pattern!r}"
+            )
+        paths.extend(found)
+    geographic = survey.crs is not None
+    tiles = [
+        faults.gather(lambda p=path: inspect_tile(p, settings.amplitude, geographic))  # type: ignore[misc]
+        for path in dict.fromkeys(paths)
+    ]
+    faults.raise_any()
+    return tuple(tile for tile in tiles if tile is not None)
+
+
+def _is_product(survey: Survey, path: Path) -> bool:
+    """Whether a path is where a run writes a product."""
+    inside = path.resolve().parent == survey.output_folder.resolve()
+    return inside and path.name in PRODUCTS
+
+
+def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:
+    """Refuse an output folder in which a product would replace an input."""
+    for path in sorted({*inputs, survey.path}):
+        if _is_product(survey, path):
+            raise InputError(f"{path}: a product of that name would replace this input; move one")
+
+
+def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
+    if survey.crs is not None:
+        where, crs = f"{survey.path}: crs", pyproj.CRS.from_user_input(survey.crs)
+    else:
+        where, crs = str(tiles[0].path), pyproj.CRS.from_wkt(tiles[0].lattice.crs)
+    wkt = crs.to_wkt()
+    # two spellings of one CRS must not count as two
+    for tile in tiles:
+        if tile.lattice.crs != wkt and pyproj.CRS.from_wkt(tile.lattice.crs).equals(
+            crs, ignore_axis_order=True
+        ):
+            wkt = tile.lattice.crs
+            break
+    x, y = tiles[0].outline_in(wkt)
+    check_grid_crs(crs, where, float(np.mean(x)), float(np.mean(y)))
+    return wkt
+
+
+def _open(
+    survey: Survey,
+    settings: PassSettings,
+    tiles: tuple[Tile, ...],
+    crs: str,
+    excluded: BaseGeometry | None,
+    warnings: list[str],
+) -> list[SonarPass]:
+    """Open a pass: a line of its navigation each, if several saw its tiles."""
+    path = survey.resolve(settings.navigation)
+    navigation = read_navigation(
+        path, crs, tiles[0].lattice.crs, settings.navigation_crs, settings.columns
+    )
+    warnings += navigation.warnings
+    sides: tuple[Side, ...] = ("port", "starboard") if settings.side == "both" else (settings.side,)
+    name = settings.name
+    wanted = [
+        SonarPass(name, name, tiles, stretch.track, sides, settings.range == "slant", path,
+                  settings.altitude_sd, excluded)
+        for stretch in navigation.stretches
+    ]  # fmt: skip
+    labels = [stretch.label for stretch in navigation.stretches]
+    found = assign_tiles(wanted, labels, crs, warnings)
+    for one in found:
+        check_altitude(one, crs, warnings)
+        warnings += compare_gains(one.tiles, crs)
+    warnings += _check_pixels(found, crs)
+    return found
+
+
+def _check_pixels(lines: list[SonarPass], crs: str) -> list[str]:
+    """Check that the pass shows a pixel of sea floor; return a line for each tile that does not."""
+    empty, count = [], 0
+    for sonar_pass in lines:
+        for tile in sonar_pass.tiles:
+            count += 1
+            try:
+                if not shows_floor(sonar_pass, tile, crs):
+                    empty.append(tile)
+            except OSError:
+                continue  # an undecodable block fails its cells, not the survey
+    if len(empty) == count:
+        raise InputError(
+            f"{empty[0].path}: pass {lines[0].settings_name!r} has no valid pixel: expected "
+            "amplitudes of zero or more, not nodata, on a side it shows, outside the water column"
+        )
+    return [f"{tile.path}: holds no valid pixel" for tile in empty]
+
+
+def open_pass(survey: Survey, name: str) -> xr.DataArray:
+    """Open a pass as a lazy array.
+
+    Parameters
+    ----------
+    survey : Survey
+        From :func:`sasmap.load_survey`.
+    name : str
+        Name of the pass.
+
+    Returns
+    -------
+    DataArray (y, x)
+        Linear amplitude, NaN where there is none, backed by dask. Coordinates: ``x``, ``y`` of
+        the pixel centres (m, in the survey's CRS; two-dimensional where the tiles are rotated
+        against it), ``ground_range``, ``altitude`` (m), ``look_azimuth`` (degrees clockwise from
+        grid north), for slant-range tiles ``ground_x``, ``ground_y``, and ``spatial_ref``, the
+        CRS in CF form. Pixels of the first tile's lattice; tiles on other lattices are laid into
+        it by nearest pixel.
+
+    Raises
+    ------
+    InputError
+        Where the survey has no such pass, or a file of the survey is faulty.
+
+    Examples
+    --------
+    >>> import sasmap
+    >>> amplitude = open_pass(sasmap.load_survey("sample_data/survey.yaml"), "near")
+    >>> amplitude.dims, amplitude.shape
+    (('y', 'x'), (1000, 1500))
+    >>> float(amplitude.ground_range[0, 0].round(2)), amplitude.ground_range.units
+    (8.26, 'm')
+    """
+    opened = open_survey(survey)
+    return open_lazily(_chosen(opened, name), opened.grid)
+
+
+def _chosen(opened: OpenSurvey, name: str) -> SonarPass:
+    """Return the pass of a name; of one that several lines saw, the line's."""
+    found = [p for p in opened.passes if name in (p.name, p.settings_name)]
+    if not found:
+        opened.settings.find_pass(name)  # tells which there are
+    if len(found) > 1:
+        known = ", ".join(repr(p.name) for p in found)
+        raise InputError(f"{opened.settings.path}: pass {name!r} has several lines: open {known}")
+    return found[0]

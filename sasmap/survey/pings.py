@@ -1,0 +1,237 @@
+"""Pings that cannot be: positions and altitudes that leave their neighbours, gaps, wrong order.
+
+A few are mended from their neighbours and said; more are refused. Rows are those of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.spatial
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError
+from sasmap.survey.lattice import FloatArray
+
+# Pings to either side whose median a ping is compared with: runs of up to five bad ones stand out.
+HALF = 5
+# Deviations that are no noise: in standard deviations (by the median absolute deviation), in ping
+# spacings for positions, and as a fraction of altitude. The sea floor's relief within eleven pings
+# is less: a wreck of a quarter of the altitude stays in the median once it lasts six.
+SIGMAS, SPACINGS, FRACTION = 8.0, 4.0, 0.25
+# From the median absolute deviation of normal numbers to their standard deviation.
+TO_SD = 1.4826
+# Bad pings that are mended: a share of all, and altitudes missing in a row.
+MOST_BAD, LONGEST_GAP = 0.1, 10
+# Pings below which medians say nothing.
+FEWEST = 12
+# A step of altitude between two pings that no floor makes: a fraction of the median altitude, and
+# steeper than 45 degrees.
+CLIFF = 0.5
+# Out of order: the median step over the distance to the nearest ping, and over the track's extent.
+# In order it is about 1 (jitter of three spacings: 5); shuffled, a third of the extent.
+DISORDER, WIDE = 10.0, 0.05
+# Rows that are named, at most.
+NAMED = 5
+
+
+class Pings(NamedTuple):
+    """Rows of a navigation file: their numbers in the file, position (m) and altitude (m)."""
+
+    path: Path
+    rows: NDArray[np.int64]
+    x: FloatArray
+    y: FloatArray
+    altitude: FloatArray
+
+    def at(self, pick: slice | NDArray[np.bool_]) -> Pings:
+        """Return some of the pings."""
+        return Pings(self.path, self.rows[pick], self.x[pick], self.y[pick], self.altitude[pick])
+
+
+def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
+    """Mend what a few pings have wrong; refuse what cannot be mended.
+
+    Parameters
+    ----------
+    pings : Pings
+        Altitude NaN where the file has none.
+
+    Returns
+    -------
+    pings : Pings
+    warnings : list of str
+
+    Raises
+    ------
+    InputError
+        Names the row.
+    """
+    warnings: list[str] = []
+    pings = _once(pings, warnings)
+    _check_order(pings)
+    pings = _filled(pings, warnings)
+    pings = _without_spikes(pings, warnings)
+    _check_cliffs(pings, warnings)
+    return pings, warnings
+
+
+def _once(pings: Pings, warnings: list[str]) -> Pings:
+    """Leave out rows that repeat an earlier one, unless it is the row before."""
+    values = np.column_stack([pings.x, pings.y, np.nan_to_num(pings.altitude, nan=-1.0)])
+    _, first, inverse = np.unique(values, axis=0, return_index=True, return_inverse=True)
+    origin = first[inverse.ravel()]
+    index = np.arange(values.shape[0])
+    standing = np.zeros(index.size, bool)  # a sonar that waits repeats its row, and harms nothing
+    standing[1:] = (values[1:] == values[:-1]).all(axis=1)
+    repeated = (origin < index) & ~standing
+    if not repeated.any():
+        return pings
+    at = np.flatnonzero(repeated)
+    warnings.append(
+        f"{pings.path}: {_named(pings, at)} repeats row {pings.rows[origin[at[0]]]}"
+        f"{' and so on' if at.size > 1 else ''}: left out"
+    )
+    return pings.at(~repeated)
+
+
+def _check_order(pings: Pings) -> None:
+    """Refuse rows that are not in track order."""
+    points = np.column_stack([pings.x, pings.y])
+    step = np.hypot(*np.diff(points, axis=0).T)
+    if points.shape[0] < FEWEST or not (step > 0).any():
+        return
+    unique = np.unique(points, axis=0)
+    if unique.shape[0] < FEWEST:
+        return
+    nearest = scipy.spatial.cKDTree(unique).query(unique, k=2)[0][:, 1]
+    usual, extent = float(np.median(nearest)), float(np.hypot(*np.ptp(points, axis=0)))
+    if np.median(step) <= DISORDER * usual or np.median(step) <= WIDE * extent:
+        return
+    at = int(np.flatnonzero(step > DISORDER * usual)[0]) + 1
+    raise InputError(
+        f"{pings.path}: row {pings.rows[at]}: rows are not in track order: it lies "
+        f"{step[at - 1]:.1f} m from the row before, while pings are {usual:.2g} m apart: "
+        "sort the file by time"
+    )
+
+
+def _filled(pings: Pings, warnings: list[str]) -> Pings:
+    """Interpolate altitude over a few pings without one: empty, zero or negative."""
+    altitude = pings.altitude.copy()
+    missing = ~(altitude > 0)
+    if not missing.any():
+        return pings
+    at = np.flatnonzero(missing)
+    longest = max(len(run) for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1))
+    if at.size > MOST_BAD * missing.size or longest > LONGEST_GAP:
+        given = altitude[at[0]]
+        what = "a number, got none" if np.isnan(given) else f"more than 0 m, got {given:g}"
+        more = f" ({at.size} of {missing.size} pings have none)" if at.size > 1 else ""
+        raise InputError(f"{pings.path}: row {pings.rows[at[0]]}: altitude: expected {what}{more}")
+    altitude[missing] = np.interp(at, np.flatnonzero(~missing), altitude[~missing])
+    warnings.append(
+        f"{pings.path}: {_named(pings, at)}: no altitude: interpolated from the pings around"
+    )
+    return pings._replace(altitude=altitude)
+
+
+def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
+    """Interpolate positions and altitudes that leave their neighbours' median by too much."""
+    if pings.x.size < FEWEST:
+        return pings
+    x, y, altitude = pings.x.copy(), pings.y.copy(), pings.altitude.copy()
+    away = np.hypot(x - _median(x), y - _median(y))
+    step = np.hypot(np.diff(x), np.diff(y))
+    spacing = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    limit = max(SPACINGS * spacing, SIGMAS * TO_SD * float(np.median(away)))
+    # the last ping of a line leaves the median of those around it, but not of those before it
+    bad = (away > limit) & (np.minimum(*_from_either_side(x, y)) > limit)
+    if bad.any():
+        at = np.flatnonzero(bad)
+        told = (
+            f"{pings.path}: {_named(pings, at)}: position {away[at[0]]:.1f} m away from its "
+            f"neighbours' median, while pings are {spacing:.2g} m apart"
+        )
+        _mend((x, y), bad, told, warnings)
+    local = _median(altitude)
+    away = np.abs(altitude - local)
+    bad = away > np.maximum(FRACTION * local, SIGMAS * TO_SD * float(np.median(away)))
+    if bad.any():
+        at = np.flatnonzero(bad)
+        told = (
+            f"{pings.path}: {_named(pings, at)}: altitude {altitude[at[0]]:g} m, its neighbours' "
+            f"median {local[at[0]]:.3g} m"
+        )
+        _mend((altitude,), bad, told, warnings)
+    return pings._replace(x=x, y=y, altitude=altitude)
+
+
+def _mend(
+    values: Sequence[FloatArray], bad: NDArray[np.bool_], told: str, warnings: list[str]
+) -> None:
+    """Interpolate bad numbers in place, or refuse them where they are too many."""
+    if bad.sum() > MOST_BAD * bad.size:
+        raise InputError(f"{told}: {bad.sum()} of {bad.size} pings are so: correct the file")
+    for one in values:
+        one[bad] = np.interp(np.flatnonzero(bad), np.flatnonzero(~bad), one[~bad])
+    warnings.append(f"{told}: interpolated from the pings around; correct or remove it")
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """Take a running median over a ping and its neighbours; the trend goes on beyond the ends."""
+    width = 2 * HALF + 1
+
+    def beyond(end: FloatArray) -> FloatArray:
+        """Values before the first of `end`, along a line that outliers do not move."""
+        place = np.arange(end.size)
+        slope = float(np.median(np.diff(end)))
+        level = float(np.median(end - slope * place))
+        return np.asarray(level + slope * np.arange(-HALF, 0), float)
+
+    before, after = beyond(values[:width]), beyond(values[: -width - 1 : -1])[::-1]
+    padded = np.concatenate([before, values, after])
+    return np.asarray(
+        np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1), float
+    )
+
+
+def _from_either_side(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance of each ping from where those before it, and those after it, lead; inf at ends."""
+    width = 2 * HALF + 1
+    place = np.arange(width)
+    ahead, behind = [], []
+    for values in (x, y):
+        windows = np.lib.stride_tricks.sliding_window_view(values, width)
+        slope = np.median(np.diff(windows, axis=1), axis=1)
+        level = np.median(windows - slope[:, None] * place, axis=1)
+        ahead.append((level + slope * width)[:-1])
+        behind.append((level - slope)[1:])
+    before, after = np.full(x.size, np.inf), np.full(x.size, np.inf)
+    before[width:] = np.hypot(x[width:] - ahead[0], y[width:] - ahead[1])
+    after[:-width] = np.hypot(x[:-width] - behind[0], y[:-width] - behind[1])
+    return before, after
+
+
+def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
+    """Name steps of altitude that last, and that no sea floor makes between two pings."""
+    step = np.abs(np.diff(pings.altitude))
+    along = np.hypot(np.diff(pings.x), np.diff(pings.y))
+    at = np.flatnonzero((step > CLIFF * float(np.median(pings.altitude))) & (step > along))
+    if not at.size:
+        return
+    before, after = pings.altitude[at[0]], pings.altitude[at[0] + 1]
+    warnings.append(
+        f"{pings.path}: {_named(pings, at + 1)}: altitude goes from {before:.3g} m to {after:.3g} "
+        "m from one ping to the next: heights there are as wrong as it is; correct the file"
+    )
+
+
+def _named(pings: Pings, at: NDArray[np.intp]) -> str:
+    """Name rows of the file."""
+    rows = [str(row) for row in pings.rows[at[:NAMED]]]
+    more = f" and {at.size - NAMED} more" if at.size > NAMED else ""
+    return f"row{'s' if at.size > 1 else ''} {', '.join(rows)}{more}"

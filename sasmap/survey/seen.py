@@ -1,0 +1,202 @@
+"""Whether the navigation can have seen the tiles, and which of its lines did."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError
+from sasmap.survey.contents import sample_windows
+from sasmap.survey.lattice import FloatArray, Window, transform_points
+from sasmap.survey.navigation import MIN_GRAZING
+from sasmap.survey.passes import SonarPass, view
+from sasmap.survey.tiles import Tile, read_tile
+
+# Points along the longer side of a tile that stand for its pixels.
+POINTS = 64
+# A line saw a tile if it saw this share of what the best one saw; of two such the one alone within
+# this grazing angle, which few sonars go below: a range of 19 altitudes.
+SHARE, USUAL_GRAZING = 0.9, np.radians(3.0)
+# Grazing angle of a pass's farthest pixel above which altitude is no altitude, and above which it
+# is doubtful: side-looking sonars see far beyond their altitude, and what is nearer than one and a
+# half of it is cut off as a rule (altitude in feet beside ranges in metres gives 39 degrees).
+STEEPEST, STEEP = np.radians(72.0), np.radians(35.0)
+# Grazing angle of its nearest pixel below which altitude is doubtful.
+LOW = np.radians(2.0)
+# Pixels that are read at once where a valid one is looked for.
+CHECKED_PIXELS = 1_000_000
+
+
+class _Sight(NamedTuple):
+    """How a line sees points of a tile."""
+
+    grazing: FloatArray
+    wanted: NDArray[np.bool_]  # on a side that the pass shows
+    abeam: NDArray[np.bool_]
+
+
+def _sight(sonar_pass: SonarPass, tile: Tile, crs: str) -> _Sight:
+    """How a track sees a coarse raster of a tile's pixels."""
+    window = tile.window
+    step = max(window.height, window.width) / POINTS
+    row, column = np.meshgrid(
+        np.arange(0, window.height + step / 2, step).clip(0.5, window.height - 0.5),
+        np.arange(0, window.width + step / 2, step).clip(0.5, window.width - 0.5),
+        indexing="ij",
+    )
+    t = tile.lattice.transform
+    x, y = t.c + t.a * column + t.b * row, t.f + t.d * column + t.e * row
+    seen = sonar_pass.track.locate(*transform_points(tile.lattice.crs, crs, x, y))
+    grazing = np.arctan2(seen.altitude, seen.distance)
+    with np.errstate(invalid="ignore"):
+        near = grazing >= MIN_GRAZING
+    wanted = np.zeros_like(near)
+    for side in sonar_pass.sides:
+        wanted |= near & (seen.starboard == (side == "starboard"))
+    return _Sight(grazing, wanted, near)
+
+
+def assign_tiles(
+    lines: list[SonarPass], labels: list[str], crs: str, warnings: list[str]
+) -> list[SonarPass]:
+    """Give each tile to the line of the navigation that saw it.
+
+    Parameters
+    ----------
+    lines : list of SonarPass
+        The pass as each line of its navigation would have seen it, with all tiles.
+    labels : list of str
+        Where each line stands in the file.
+    crs : str
+        The survey's.
+    warnings : list of str
+        Is added to.
+
+    Returns
+    -------
+    list of SonarPass
+        Lines that saw tiles, with them.
+
+    Raises
+    ------
+    InputError
+        Where no line, or more than one, can have seen a tile; a line for each tile.
+    """
+    faults: list[str] = []
+    owned: dict[int, list[Tile]] = {}
+    for tile in lines[0].tiles:
+        sights = [_sight(line, tile, crs) for line in lines]
+        able = _able([s.wanted for s in sights])
+        if not able:
+            faults.append(_unseen(lines[0], tile, any(s.abeam.any() for s in sights)))
+        elif len(able) > 1 and len(near := _usual(sights, able)) != 1:
+            told = " and ".join(labels[k] for k in near[:3])
+            faults.append(
+                f"{tile.path}: {lines[0].navigation.name} holds {len(lines)} lines, and those of "
+                f"{told} can both have seen it: give each line a file and a pass of its own, with "
+                "the tiles it saw"
+            )
+        else:
+            owned.setdefault(able[0] if len(able) == 1 else near[0], []).append(tile)
+    if faults:
+        raise InputError(faults)
+    if len(lines) > 1:
+        used = " and ".join(labels[k] for k in sorted(owned))
+        warnings.append(
+            f"{lines[0].navigation}: holds {len(lines)} lines ({', '.join(labels[:9])}), parted at "
+            f"turns: tiles are taken as seen by {used}"
+        )
+    several = len(owned) > 1
+    return [
+        replace(
+            lines[k],
+            tiles=tuple(owned[k]),
+            name=f"{lines[k].settings_name} line {k + 1}" if several else lines[k].name,
+        )
+        for k in sorted(owned)
+    ]
+
+
+def _able(masks: list[NDArray[np.bool_]]) -> list[int]:
+    """Which lines saw about as much as the best."""
+    counts = [int(mask.sum()) for mask in masks]
+    return [k for k, count in enumerate(counts) if count and count >= SHARE * max(counts)]
+
+
+def _usual(sights: list[_Sight], able: list[int]) -> list[int]:
+    """Which of some lines saw a tile at usual grazing angles; all if none or several did."""
+    masks = [sights[k].wanted & (sights[k].grazing >= USUAL_GRAZING) for k in able]
+    found = [able[k] for k in _able(masks)]
+    return found or able
+
+
+def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool) -> str:
+    if not abeam:
+        return (
+            f"{tile.path}: lies outside the navigation: no ping of {sonar_pass.navigation} "
+            "passes abeam of it within the range a sonar at that altitude can see"
+        )
+    other = "port" if sonar_pass.sides == ("starboard",) else "starboard"
+    return f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}"
+
+
+def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None:
+    """Refuse altitudes from which no sonar sees the ranges that the tiles have; name doubtful ones.
+
+    Raises
+    ------
+    InputError
+        Where all pixels lie almost below the sonar.
+    """
+    if sonar_pass.slant:  # pixels nearer than the altitude are water column, and told there
+        return
+    sights = [_sight(sonar_pass, tile, crs) for tile in sonar_pass.tiles]
+    grazing = np.concatenate([s.grazing[s.wanted] for s in sights])
+    farthest, nearest = float(grazing.min()), float(grazing.max())
+    middle = float(np.median(sonar_pass.track.altitude))
+    start = f"{sonar_pass.navigation}: altitude: about {middle:.3g} m, but the tiles' "
+    advice = "expected the sonar's height above the sea floor, in metres"
+    if farthest > STEEPEST:
+        raise InputError(
+            f"{start}farthest pixel is only {middle / np.tan(farthest):.3g} m from the track: "
+            f"{advice} (not the antenna's, the ellipsoid's, or centimetres)"
+        )
+    if farthest > STEEP:
+        warnings.append(
+            f"{start}farthest pixel is only {middle / np.tan(farthest):.3g} m from the track: "
+            f"{advice} (not its depth, or feet); check it"
+        )
+    if nearest < LOW:
+        warnings.append(
+            f"{start}nearest pixel is {middle / np.tan(nearest):.3g} m from the track: {advice}; "
+            "check it"
+        )
+
+
+def shows_floor(sonar_pass: SonarPass, tile: Tile, crs: str) -> bool:
+    """Whether a pass shows a pixel of sea floor on a tile.
+
+    Raises
+    ------
+    OSError
+        Where a block cannot be decoded.
+    """
+    for part in (*sample_windows(tile.window), *_bands(tile.window)):
+        valid = ~np.isnan(read_tile(tile, part))
+        if not valid.any():
+            continue
+        seen = view(sonar_pass, crs, tile.lattice, part)["ground_range"]
+        if (valid & ~np.isnan(seen)).any():
+            return True
+    return False
+
+
+def _bands(whole: Window) -> Iterator[Window]:
+    """All of a tile, some rows at a time."""
+    rows = max(1, CHECKED_PIXELS // max(whole.width, 1))
+    for row in range(0, whole.height, rows):
+        yield Window(row, 0, min(rows, whole.height - row), whole.width)

@@ -1,0 +1,261 @@
+"""Tables of text as people and programs write them, read to columns of numbers.
+
+pandas reads the cells; what it would mend without a word (surplus cells, two columns of one name)
+is refused here, by the row as a person sees it in the file: the first line is row 1.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from sasmap.errors import InputError, check_file
+from sasmap.survey.lattice import FloatArray
+
+MAX_BYTES = 2**29
+# Marks between cells; a header without any of them is separated by spaces.
+MARKS = ",;\t|"
+COMMENTS = ("#", "%", "//", "!")
+# Lines before the header at most, such as titles.
+MOST_HEAD = 40
+# What stands for no number.
+MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "*", "?"})
+# Units that need no conversion; others in a header are refused.
+UNITS = frozenset(
+    ("m", "metre", "metres", "meter", "meters", "deg", "degree", "degrees", "degt", "°", "wgs84")
+)
+_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Rows of a table as text.
+
+    Attributes
+    ----------
+    path : Path
+    header : list of str
+        Names, lower case, without units.
+    full : list of str
+        Names, lower case, as they stand there.
+    units : list of str
+        What stood in brackets after each name.
+    head_row : int
+        Row of the header in the file.
+    rows : list of int
+        Row of the file that each line of `cells` stands on.
+    cells : DataFrame of str
+    mark : str
+    """
+
+    path: Path
+    header: list[str]
+    full: list[str]
+    units: list[str]
+    head_row: int
+    rows: list[int]
+    cells: pd.DataFrame
+    mark: str
+
+    def numbers(self, name: str, gaps: bool = False) -> FloatArray:
+        """Return a column as numbers.
+
+        Parameters
+        ----------
+        name : str
+            Lower case, with or without its unit.
+        gaps : bool
+            Whether cells may be empty, which become NaN.
+
+        Raises
+        ------
+        InputError
+            Where there are two columns of that name, one in another unit, or a cell is no number.
+        """
+        column = self._place(name)
+        text = self.cells[column]
+        values = np.array(pd.to_numeric(text, errors="coerce"), float)
+        odd = ~np.isfinite(values)
+        if not odd.any():
+            return values
+        for i in np.flatnonzero(odd):
+            given = str(text.iloc[i]).strip()
+            if given.lower() in MISSING and gaps:
+                values[i] = np.nan
+                continue
+            values[i] = self._number(int(i), name, given)
+        return values
+
+    def _place(self, name: str) -> int:
+        places = [k for k, known in enumerate(self.full) if known == name]
+        places = places or [k for k, known in enumerate(self.header) if known == name]
+        if len(places) > 1:
+            raise InputError(
+                f"{self.path}: row {self.head_row}: {len(places)} columns named {name!r}: "
+                "expected one; delete or rename the others, or choose by columns:"
+            )
+        unit = self.units[places[0]].lower()
+        if unit and unit not in UNITS:
+            raise InputError(
+                f"{self.path}: row {self.head_row}: {name} in {unit!r}: expected metres (degrees "
+                "for longitude, latitude); convert it"
+            )
+        return places[0]
+
+    def _number(self, i: int, name: str, given: str) -> float:
+        where = f"{self.path}: row {self.rows[i]}: {name}"
+        try:
+            value = float(_point(given).replace("_", "?"))  # Python alone takes 1_000 for a number
+        except ValueError:
+            raise InputError(f"{where}: expected a number, got {given[:40]!r}") from None
+        if not np.isfinite(value):
+            raise InputError(f"{where}: expected a finite number, got {given[:40]!r}")
+        return value
+
+
+def _point(given: str) -> str:
+    """Write a number with a decimal point: of commas and points, the last kind is one."""
+    comma, point = given.rfind(","), given.rfind(".")
+    if comma < 0:
+        return given.replace("\u2212", "-")
+    if point > comma or given.count(",") > 1:
+        return given.replace(",", "")
+    return given.replace(".", "").replace(",", ".")
+
+
+def read_table(path: Path, wanted: frozenset[str]) -> Table:
+    """Read a text table whose columns are named by a header.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : frozenset of str
+        Names by which the header is known where titles stand above it.
+
+    Raises
+    ------
+    InputError
+        Where the file is no text table, or a row has more cells than the header.
+    """
+    lines = _lines(path)
+    if not lines:
+        raise InputError(f"{path}: empty: expected a header and one row a ping")
+    head, mark = _find_header(lines, wanted)
+    head_row, names = lines[head][0], _split(lines[head][1], mark)
+    body = lines[head + 1 :]
+    if len(body) < 2:
+        raise InputError(f"{path}: expected at least two pings, got {len(body)}")
+    cells = _cells(path, body, mark, len(names))
+    header, units = zip(*(_name_and_unit(name) for name in names), strict=True)
+    full = [" ".join(name.lower().split()) for name in names]
+    rows = [row for row, _ in body]
+    return Table(path, list(header), full, list(units), head_row, rows, cells, mark)
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Lines that are neither blank nor comments, with their rows in the file."""
+    check_file(path, "expected a CSV file, one row a ping", MAX_BYTES)
+    try:
+        text = _decoded(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeError:
+        text = None
+    if text is None or "\0" in text:
+        raise InputError(f"{path}: expected a CSV text file in UTF-8")
+    found = []
+    for row, line in enumerate(re.split(r"\r\n|\n|\r", text), 1):
+        bare = line.strip().strip(MARKS).strip()
+        comment = bare.startswith(COMMENTS) or (row == 1 and bare.lower().startswith("sep="))
+        if bare and not comment:
+            found.append((row, line))
+    return found
+
+
+def _decoded(raw: bytes) -> str:
+    """Text of UTF-8, of UTF-16 where its mark says so, else of Windows' western code page."""
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("cp1252")
+
+
+def _find_header(lines: list[tuple[int, str]], wanted: frozenset[str]) -> tuple[int, str]:
+    """Which line names the columns, and the mark between cells: the first that names altitude."""
+    for k, (_, line) in enumerate(lines[:MOST_HEAD]):
+        mark = _mark_of(line)
+        names = {_name_and_unit(name)[0] for name in _split(line, mark)}
+        if names & wanted:
+            return k, mark
+    return 0, _mark_of(lines[0][1])
+
+
+def _mark_of(line: str) -> str:
+    mark = max(MARKS, key=line.count)
+    return mark if mark in line else " "
+
+
+def _split(line: str, mark: str) -> list[str]:
+    if mark == " ":
+        return re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it
+    try:
+        return next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    except csv.Error:  # a cell longer than it reads
+        return line.split(mark)
+
+
+def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd.DataFrame:
+    """Cells of all rows as text; one column more than the header catches what is surplus."""
+    for row, line in body:
+        # quoted marks are no cells; the rare line that holds both is counted in full
+        if line.count(mark) > width and (found := len(_split(line, mark))) > width + 1:
+            raise InputError(_surplus(path, row, found, width))
+    text = "\n".join(line for _, line in body)
+    try:
+        cells = pd.read_csv(
+            io.StringIO(text),
+            sep=r"\s+" if mark == " " else mark,
+            header=None,
+            names=list(range(width + 1)),
+            index_col=False,
+            dtype=str,
+            keep_default_na=False,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            on_bad_lines="error",
+        )
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
+        raise InputError(f"{path}: expected a CSV text file: {_short(error)}") from None
+    if len(cells) != len(body):
+        raise InputError(f"{path}: expected one line a row: a quoted cell spans lines")
+    cells = cells.fillna("")
+    surplus = np.flatnonzero(cells[width].str.strip() != "")
+    if surplus.size:
+        raise InputError(_surplus(path, body[int(surplus[0])][0], width + 1, width))
+    return cells
+
+
+def _surplus(path: Path, row: int, found: int, width: int) -> str:
+    return (
+        f"{path}: row {row}: {found} cells under {width} columns: which is which? name every "
+        "column in the header, or quote decimal commas"
+    )
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]
+
+
+def _name_and_unit(name: str) -> tuple[str, str]:
+    """Take a header's cell apart: "Altitude (m)" is altitude in m."""
+    bare = name.strip().strip("\"'").strip()
+    found = _UNIT.match(bare)
+    return (found[1].lower(), found[2]) if found and found[1] else (bare.lower(), "")
