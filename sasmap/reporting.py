@@ -232,7 +232,7 @@ def _cells(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[str, str
             continue
         if clip is None:
             continue
-        draws = posterior.chains if posterior is not None else xr.Dataset()
+        draws = posterior.draws if posterior is not None else xr.Dataset()
         model = posterior.model if posterior is not None else None
         yield {
             "title": f"{title}: row {cell.row}, column {cell.column}",

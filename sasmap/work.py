@@ -17,8 +17,8 @@ from sasmap.plan import Look, Plan
 from sasmap.products.model import on_cell
 from sasmap.ripples.chain import next_prior
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.estimate import estimate
-from sasmap.ripples.likelihood import Prior
+from sasmap.ripples.estimation import estimate
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.passes import Summary, summarise
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.settings import RippleSettings

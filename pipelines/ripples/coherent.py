@@ -106,7 +106,11 @@ def describe(title: str, rows: list[dict[str, Any]]) -> None:
     parts = [f"{title:28s} {len(rows):4d}"]
     for name, truth in (("frequency", "true_f"), ("height", "true_height")):
         rank = column(rows, f"{name}_rank")
-        mean, sd, true = column(rows, f"{name}_mean"), column(rows, f"{name}_sd"), column(rows, truth)
+        mean, sd, true = (
+            column(rows, f"{name}_mean"),
+            column(rows, f"{name}_sd"),
+            column(rows, truth),
+        )
         cover = [100 * np.mean(np.abs(rank - 0.5) < p / 2) for p in (0.5, 0.9)]
         error = np.abs(mean / true - 1)
         sure = sd / mean < 0.1
@@ -128,8 +132,12 @@ def report(rows: list[dict[str, Any]]) -> None:
     print(", ".join(f"{Quality(i).label} {n}" for i, n in enumerate(counts) if n))
     print(f"found {len(found)} of {len(enough)} with four wavelengths or more")
     seconds = column(rows, "seconds")
-    print(f"seconds a cell: median {np.median(seconds):.2f}, 90 % below {np.quantile(seconds, 0.9):.2f}")
-    print(f"{'':28s}            f: 50 %  90 %  error  sure    n far   A_H: 50 %  90 %  error  sure    n far")
+    print(
+        f"seconds a cell: median {np.median(seconds):.2f}, 90 % below {np.quantile(seconds, 0.9):.2f}"
+    )
+    print(
+        f"{'':28s}            f: 50 %  90 %  error  sure    n far   A_H: 50 %  90 %  error  sure    n far"
+    )
     describe("all good cells", good)
     middle = float(np.median(column(rows, "near")))
     describe(f"nearer than {middle:.0f} m", [r for r in good if r["near"] < middle])

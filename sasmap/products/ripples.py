@@ -30,8 +30,13 @@ SINGLE_UNITS = {
     "coherence_length": "m",
     "rippled_fraction": "1",
     "noise_factor": "1",
+    "exponent": "1",
+    "exponent_sd": "1",
+    "concentration": "1",
+    "concentration_sd": "1",
+    "peakedness": "1",
+    "asymmetry": "1",
 }
-PROFILES = ("", "sine", "stokes", "peaked")
 
 Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
 Chains = Mapping[tuple[int, int], Chain]
@@ -230,8 +235,6 @@ def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
     for name, unit in SINGLE_UNITS.items():
         field = _field(cells, shape, lambda s, n=name: getattr(s, n))
         variables[name] = (_DIMS, field, {"units": unit})
-    profile = _field(cells, shape, lambda s: float(PROFILES.index(s.profile)))
-    variables["profile"] = (_DIMS, np.nan_to_num(profile).astype(np.int8), _profiles())
     left_out = _field(cells, shape, lambda s: float(s.left_out))
     variables["left_out"] = (_DIMS, np.nan_to_num(left_out).astype(np.int16), _masks())
     return variables
@@ -253,13 +256,6 @@ def _flags() -> dict[str, Any]:
     return {
         "flag_values": np.array([int(q) for q in Quality], np.int8),
         "flag_meanings": " ".join(q.label.replace(" ", "_") for q in Quality),
-    }
-
-
-def _profiles() -> dict[str, Any]:
-    return {
-        "flag_values": np.arange(len(PROFILES), dtype=np.int8),
-        "flag_meanings": " ".join(name or "none" for name in PROFILES),
     }
 
 

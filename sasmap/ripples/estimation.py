@@ -210,9 +210,7 @@ def _sampled(
     best = fit.peaks[0].level
     peaks = [p for p in fit.peaks if p.level > best - NEGLIGIBLE]
     keep = np.ix_(*[np.isin(free, sampled)] * 2)
-    proposal = mixture_of_peaks(
-        [(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks]
-    )
+    proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks])
     members, proposal = population(log_density, proposal, rng)
     states = members[rng.permutation(len(members))[: settings.chains]]
     burn_in = metropolis_hastings(log_density, proposal, members, states, BURN_IN, rng).draws
@@ -239,9 +237,7 @@ def _sampled(
     return whole(draws), accepted / kept, done
 
 
-def _labelled(
-    points: FloatArray, fit: Fit, image: Image, rng: np.random.Generator
-) -> xr.Dataset:
+def _labelled(points: FloatArray, fit: Fit, image: Image, rng: np.random.Generator) -> xr.Dataset:
     """Name draws and give them the units that people read."""
     flat = [parameters_at(z, fit.geometry) for z in points.reshape(-1, COORDINATES)]
     shape = points.shape[:2]

@@ -273,9 +273,7 @@ def with_errors(fit: Fit) -> Histogram:
     stack = np.array(errors)
     flat = stack.reshape(len(stack), -1)
     information = (flat * data.pixel_count.ravel()) @ flat.T
-    return data._replace(
-        errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack)))
-    )
+    return data._replace(errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack))))
 
 
 def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
@@ -310,7 +308,7 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     cells = (data.group.max() + 1) * ERROR_CELLS
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(cell.ravel(), values.ravel(), cells)
+        return np.asarray(np.bincount(cell.ravel(), values.ravel(), cells), float)
 
     pixels = np.maximum(total(data.pixel_count), 1.0)
     displaced = total(data.pixel_count * (shift * slope) ** 2) / pixels
@@ -367,9 +365,10 @@ def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:
     radius = np.hypot(np.fft.rfftfreq(image.shape[1]), np.fft.fftfreq(image.shape[0])[:, None])
     number = np.hypot(per_column, per_row)
     # beside the wave's own direction, where a misfit of the model has its power
-    along = np.fft.rfftfreq(image.shape[1]) * per_column + np.fft.fftfreq(image.shape[0])[
-        :, None
-    ] * per_row
+    along = (
+        np.fft.rfftfreq(image.shape[1]) * per_column
+        + np.fft.fftfreq(image.shape[0])[:, None] * per_row
+    )
     beside = np.abs(along) < BESIDE * number * radius
     ring = (radius > 0.6 * number) & (radius < 1.6 * number) & beside
     if ring.sum() < 20:

@@ -49,8 +49,10 @@ def range_edges(nearest: float, farthest: float) -> FloatArray:
     while edges[-1] < farthest:
         edges.append(edges[-1] + max(LEAST_BLOCK, BLOCK_SHARE * edges[-1]))
     stretch = (farthest - nearest) / (edges[-1] - nearest)
-    return nearest + stretch * (np.array(edges) - nearest) if len(edges) > 1 else np.array(
-        [nearest, nearest + LEAST_BLOCK]
+    return (
+        nearest + stretch * (np.array(edges) - nearest)
+        if len(edges) > 1
+        else np.array([nearest, nearest + LEAST_BLOCK])
     )
 
 

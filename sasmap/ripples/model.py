@@ -74,7 +74,8 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> Modelled
 
     def paint(pulses: FloatArray) -> FloatArray:
         reach = fit.data.ground_range
-        return paint_pixels(known, clip.ground_range, cycles, per_pixel, reach, pulses)
+        args = known, clip.ground_range, cycles, per_pixel, reach, pulses
+        return np.asarray(paint_pixels(*args))
 
     amplitude = paint(mean)
     trend = np.sqrt(spread_boxes(fit.trend, phase.box, image.shape))

@@ -59,13 +59,13 @@ class Peak(NamedTuple):
 def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     """Which sampling coordinates are estimated: those not fixed by the settings."""
     fixed = np.isfinite(geometry.fixed)
-    return np.array([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
+    return np.asarray([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
 
 
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     """Which of them are sampled: noise's slope and blur stay where the climb leaves them."""
     free = free_coordinates(geometry)
-    return free[(free != NOISE_SLOPE) & (free != BLUR)]
+    return np.asarray(free[(free != NOISE_SLOPE) & (free != BLUR)])
 
 
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
@@ -100,13 +100,13 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
     fill_pulses(parameters_at(np.append([0.0, 0.0], z[2:]), geometry), data, geometry, pulses, lags)
     weight = np.sqrt(data.pixel_count.sum(axis=1))
-    slope, phase = np.polyfit(data.place, np.unwrap(lags), 1, w=weight) if len(lags) > 1 else (0, lags[0])
+    slope, phase = (
+        np.polyfit(data.place, np.unwrap(lags), 1, w=weight) if len(lags) > 1 else (0, lags[0])
+    )
     return np.array([slope / (2 * np.pi), phase])
 
 
-def climb(
-    start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = ROUNDS
-) -> Peak:
+def climb(start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = ROUNDS) -> Peak:
     """Climb to the nearest maximum of the posterior by damped Fisher scoring.
 
     Parameters
@@ -143,7 +143,7 @@ def climb(
             damping = max(damping * 8, 1e-3)
             if damping > 1e6:
                 break
-    return Peak(z, level, np.linalg.inv(information))
+    return Peak(z, level, np.asarray(np.linalg.inv(information), float))
 
 
 def polished(peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Generator) -> Peak:
@@ -176,7 +176,7 @@ def polished(peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Gen
         if levels[best[0]] > level:
             z, level = points[best[0]], float(levels[best[0]])
     _, information = _slope(z, data, geometry, free)
-    return Peak(z, level, np.linalg.inv(information))
+    return Peak(z, level, np.asarray(np.linalg.inv(information), float))
 
 
 def distinct(peaks: list[Peak], most: int) -> list[Peak]:

@@ -13,6 +13,7 @@ from sasmap.ripples.mixture import fit_mixture
 from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
 
 NAN = float("nan")
+LAW = ("exponent", "concentration", "peakedness", "asymmetry")
 Numbers = tuple[float, ...]
 
 
@@ -38,6 +39,10 @@ class Summary:
     coherence_length : float
         m.
     rippled_fraction, noise_factor : float
+    exponent, exponent_sd, concentration, concentration_sd : float
+        Of the scattering law sin^n(theta) exp(-c (theta - pi/2)^2), by this look alone.
+    peakedness, asymmetry : float
+        Second harmonics of the crest profile over A_H.
     """
 
     quality: Quality
@@ -57,6 +62,12 @@ class Summary:
     coherence_length: float = NAN
     rippled_fraction: float = NAN
     noise_factor: float = NAN
+    exponent: float = NAN
+    exponent_sd: float = NAN
+    concentration: float = NAN
+    concentration_sd: float = NAN
+    peakedness: float = NAN
+    asymmetry: float = NAN
 
     @property
     def density(self) -> Mixture | None:
@@ -101,6 +112,7 @@ def summarise(posterior: Posterior) -> Summary:
         mixture=_mixture(posterior),
         probability=posterior.probability,
         **_shape(posterior),
+        **_law(posterior),
     )
 
 
@@ -115,6 +127,15 @@ def _mixture(posterior: Posterior) -> tuple[Numbers, ...]:
         (float(w), *(float(v) for v in m), *(float(v) for v in c.ravel()))
         for w, m, c in zip(*fitted, strict=True)
     )
+
+
+def _law(posterior: Posterior) -> dict[str, float]:
+    """Scattering law and crest profile, where they are part of the posterior."""
+    if "exponent" not in posterior.draws:
+        return {}
+    mean, sd = posterior.mean, posterior.sd
+    found = {name: float(mean[name]) for name in LAW}
+    return found | {f"{name}_sd": float(sd[name]) for name in LAW[:2]}
 
 
 def _shape(posterior: Posterior) -> dict[str, Any]:

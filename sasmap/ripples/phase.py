@@ -180,11 +180,11 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
     twice = box_sums(one, image.valid, 2 * per_column, 2 * per_row, size)[0]
     wavelength = pixels / size
     smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
-    around = smooth(sums[1]).real, smooth(turned[1]), smooth(twice)
+    count, count1, count2 = smooth(sums[1]).real, smooth(turned[1]), smooth(twice)
     trend = range_trend(image, size)
     for _ in range(TREND_ROUNDS):
-        level = smooth(sums[0] / trend).real, smooth(turned[0] / trend)
-        trend = trend * _local_trend(*level, *around)
+        level, level1 = smooth(sums[0] / trend).real, smooth(turned[0] / trend)
+        trend = np.asarray(trend * _local_trend(level, level1, count, count1, count2))
     flat = turned[0] / trend - turned[1]
     square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
     variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
@@ -413,8 +413,10 @@ def straight(image: Image, boxes: Boxes) -> PhaseField:
     total, pixels = np.where(covered, boxes.turned, 0).sum(), weight.sum()
     # slope of the phase of a sine of this amplitude in noise of this variance, by least squares
     noise = np.sqrt(0.5 * boxes.variance * pixels) / max(abs(total), 1e-9)
-    spreads = [np.sqrt(np.average((v - np.average(v, weights=weight)) ** 2, weights=weight))
-               for v in (along, across)]
+    spreads = [
+        np.sqrt(np.average((v - np.average(v, weights=weight)) ** 2, weights=weight))
+        for v in (along, across)
+    ]
     sd = np.array([noise / max(2 * np.pi * v, 1e-9) for v in spreads])
     return PhaseField(
         boxes.wave,
@@ -607,9 +609,7 @@ def _coherence_length(
     return float(first * boxes.size * image.pixel_size)
 
 
-def local_ratio(
-    image: Image, phase: PhaseField, used: BoolArray, model: FloatArray
-) -> FloatArray:
+def local_ratio(image: Image, phase: PhaseField, used: BoolArray, model: FloatArray) -> FloatArray:
     """Smooth ratio of an image and its model over boxes: what trend a model leaves.
 
     Parameters

@@ -61,7 +61,8 @@ class Proposal:
         which = rng.choice(self._mixture.weight.size, n, p=self._mixture.weight)
         white = rng.standard_normal((n, self._mixture.mean.shape[1]))
         white /= np.sqrt(rng.chisquare(STUDENT, n) / STUDENT)[:, None]
-        return self._mixture.mean[which] + np.einsum("nij,nj->ni", self._factor[which], white)
+        moved = np.einsum("nij,nj->ni", self._factor[which], white)
+        return np.asarray(self._mixture.mean[which] + moved)
 
     def log_density(self, points: FloatArray) -> FloatArray:
         """Log density at points (n, size)."""

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.scattering import ProfileName, lit_amplitude, profile_slope, steepest
-from sasmap.ripples.shadow import ShadowRule, shadow_mask
+from sasmap.simulate.shadow import ShadowRule, shadow_mask
 
 FloatArray = NDArray[np.float64]
 

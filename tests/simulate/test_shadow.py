@@ -6,7 +6,7 @@ from sasmap.ripples.scattering import (
     shadow_crest_rule,
     shadow_line_of_sight,
 )
-from sasmap.ripples.shadow import shadow_mask, shadow_table
+from sasmap.simulate.shadow import shadow_mask, shadow_table
 
 FREQUENCY = 0.6
 
