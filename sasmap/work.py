@@ -18,9 +18,9 @@ from sasmap.products.model import on_cell
 from sasmap.ripples.chain import next_prior
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimation import estimate
-from sasmap.ripples.priors import Prior
 from sasmap.ripples.passes import Summary, summarise
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.settings import RippleSettings
 from sasmap.sedimentmap import levelled
 from sasmap.store import Store, code_version, digest

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.gaussians import Mixture
-from sasmap.ripples.priors import Prior
 from sasmap.ripples.mixture import disagreement, marginal, product, widened
 from sasmap.ripples.passes import NAN, Summary
 from sasmap.ripples.posterior import Quality
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.settings import RippleSettings
 
 # What Zare and Cobb set by hand: cycles/m and m.

@@ -14,7 +14,6 @@ from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import BLUR, Peak, climb, distinct, polished, scan
 from sasmap.ripples.phase import (
     STRAIGHT,
-    Boxes,
     PhaseField,
     bend,
     bent,
@@ -26,6 +25,7 @@ from sasmap.ripples.phase import (
     turned_back,
 )
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendering import (
     BLUR_SD,
     CREST,
@@ -37,7 +37,6 @@ from sasmap.ripples.rendering import (
     fill_pulses,
     parameters_at,
 )
-from sasmap.ripples.priors import Prior
 from sasmap.ripples.settings import RippleSettings, scattering_law
 
 FloatArray = NDArray[np.float64]
