@@ -132,12 +132,10 @@ def report(rows: list[dict[str, Any]]) -> None:
     print(", ".join(f"{Quality(i).label} {n}" for i, n in enumerate(counts) if n))
     print(f"found {len(found)} of {len(enough)} with four wavelengths or more")
     seconds = column(rows, "seconds")
-    print(
-        f"seconds a cell: median {np.median(seconds):.2f}, 90 % below {np.quantile(seconds, 0.9):.2f}"
-    )
-    print(
-        f"{'':28s}            f: 50 %  90 %  error  sure    n far   A_H: 50 %  90 %  error  sure    n far"
-    )
+    late = np.quantile(seconds, 0.9)
+    print(f"seconds a cell: median {np.median(seconds):.2f}, 90 % below {late:.2f}")
+    names = "50 %  90 %  error  sure    n far"
+    print(f"{'':28s}            f: {names}   A_H: {names}")
     describe("all good cells", good)
     middle = float(np.median(column(rows, "near")))
     describe(f"nearer than {middle:.0f} m", [r for r in good if r["near"] < middle])

@@ -35,13 +35,15 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Draws a chain of the burn-in, from which the proposal is learned anew and frozen; share of them that
-# are independent; and draws of the rounds after which convergence is judged.
-BURN_IN, INDEPENDENT, ROUND = 300, 0.2, 300
+# Draws a chain of the rounds after which convergence is judged, the first of which is burn-in;
+# share of accepted proposals under which these are learned anew from it, and share of its draws
+# that are independent.
+ROUND, LEARNED, INDEPENDENT = 300, 0.35, 0.2
 # Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
 # (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
-# Largest noise factor that correlated speckle makes, and error of log A_H for each power of e beyond.
+# Largest noise factor that correlated speckle makes, and error of log A_H for each power of e
+# beyond.
 SPECKLE, MISFIT = 4.0, 0.15
 # Log posterior below the best peak's at which another counts for nothing.
 NEGLIGIBLE = 15.0
@@ -92,8 +94,8 @@ def estimate(
     -----
     The default method finds the ripple's wave in the clip's spectrum, follows its phase where
     crests bend, sums the pixels by phase and range and samples the speckle likelihood of a rendered
-    wavelength (:mod:`sasmap.ripples.rendering`), its scattering law included; "zare-cobb" is the published sampler (Zare and Cobb 2013), which
-    takes crests as straight and looked at square-on.
+    wavelength (:mod:`sasmap.ripples.rendering`), its scattering law included; "zare-cobb" is the
+    published sampler (Zare and Cobb 2013), which takes crests as straight and looked at square-on.
 
     Examples
     --------
@@ -195,7 +197,10 @@ def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleS
 def _sampled(
     fit: Fit, settings: RippleSettings, rng: np.random.Generator
 ) -> tuple[FloatArray, float, bool]:
-    """Sampling coordinates (chain, draw, COORDINATES), accepted fraction, whether they converged."""
+    """Draw sampling coordinates (chain, draw, COORDINATES).
+
+    Returns the accepted fraction and whether the chains converged as well.
+    """
     free = free_coordinates(fit.geometry)
     sampled = sampled_coordinates(fit.geometry)
 
@@ -213,10 +218,11 @@ def _sampled(
     proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks])
     members, proposal = population(log_density, proposal, rng)
     states = members[rng.permutation(len(members))[: settings.chains]]
-    burn_in = metropolis_hastings(log_density, proposal, members, states, BURN_IN, rng).draws
-    seen = burn_in[:, BURN_IN // 4 :].reshape(-1, sampled.size)
-    members = seen[rng.permutation(len(seen))]
-    proposal = fit_proposal(members, len(members) * INDEPENDENT)
+    first = metropolis_hastings(log_density, proposal, members, states, ROUND, rng)
+    if first.accepted < LEARNED:  # it was burn-in: the proposal is learned anew from it
+        seen = first.draws[:, ROUND // 4 :].reshape(-1, sampled.size)
+        members = seen[rng.permutation(len(seen))]
+        proposal = fit_proposal(members, len(members) * INDEPENDENT)
 
     def told(draws: FloatArray) -> bool:
         points = whole(draws)
@@ -224,7 +230,7 @@ def _sampled(
         return converged(points[..., 0]) and converged(heights.reshape(points.shape[:2]))
 
     rounds: list[FloatArray] = []
-    states, accepted, kept, done = burn_in[:, -1], 0.0, 0, False
+    states, accepted, kept, done = first.draws[:, -1], 0.0, 0, False
     while kept < settings.draws and not done:
         steps = min(max(ROUND, kept // 2), settings.draws - kept)
         chains = metropolis_hastings(log_density, proposal, members, states, steps, rng)
@@ -267,7 +273,7 @@ def _height_error(fit: Fit) -> float:
 
 
 def _lag_slopes(points: FloatArray, fit: Fit) -> FloatArray:
-    """What shadow and lean make of the slope of the image's phase, cycles/m, for each draw.
+    """Tell what shadow and lean make of the slope of the image's phase, cycles/m, for each draw.
 
     Learned from some draws: it is nearly linear in the sampling coordinates.
     """

@@ -1,4 +1,4 @@
-"""From a wave that was found in a clip to the histogram and the peak that its posterior starts from."""
+"""From a wave that was found in a clip to its histogram and the peak that sampling starts from."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ BoolArray = NDArray[np.bool_]
 POINT_SPREAD = 0.5
 # Blur of the first climb over the expected one.
 COARSE, COARSE_ROUNDS = 5.0, 12
-# Rounds in which the trend is told anew, knowing the pulse.
-TREND_ROUNDS = 2
+# Rounds in which the trend is told anew, knowing the pulse, and rounds of the climb in each.
+TREND_ROUNDS, TREND_CLIMB = 2, 6
 # Errors of the model that the pixels of a group of range and one of so many parts of phase share:
-# least relative error of the expected intensity, with straight crests and where a field is followed;
-# displacement in pixels; share of a field's error that the mean over a group keeps
+# least relative error of the expected intensity, with straight crests and where a field is
+# followed; displacement in pixels; share of a field's error that the mean over a group keeps
 # (pipelines/ripples/coherent.py).
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.25, 0.5, 16
-# Departure of the log of a scattering law from its family at each knot (rough floors have a peak near
-# normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
+# Departure of the log of a scattering law from its family at each knot (rough floors have a peak
+# near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.12, 0.12, 0.15, 0.15, 0.3, 0.8), 0.015, 2
 # Error of the pulse's second harmonic where crests bend.
 FIELD_HARMONIC = 0.03
@@ -199,7 +199,7 @@ def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
+    """Return expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
     means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
     fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means, gains)
     return means, gains
@@ -216,7 +216,8 @@ def refined(task: Task, fit: Fit) -> Fit:
         means, gains = expected_at(fit, fit.z)
         model = painted(image, fit, used, means / gains[:, None])
         trend = fit.trend * local_ratio(image, phase, used, model)
-        fit = climbed(fit._replace(trend=trend), histogram(image, trend, phase), fit.geometry)
+        data = histogram(image, trend, phase)
+        fit = climbed(fit._replace(trend=trend), data, fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
@@ -229,7 +230,7 @@ def refined(task: Task, fit: Fit) -> Fit:
             pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
         )
         fit = fit._replace(data=data)
-        fit = climbed(fit, with_errors(fit), fit.geometry)
+        fit = climbed(fit, with_errors(fit), fit.geometry, COARSE_ROUNDS)
     rng = np.random.default_rng(0)  # where the peak lies is no matter of chance
     peaks = [polished(p, fit.data, fit.geometry, rng) for p in fit.peaks]
     return fit._replace(peaks=distinct(peaks, 2))
@@ -276,7 +277,7 @@ def with_errors(fit: Fit) -> Histogram:
 
 
 def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
-    """What a pixel of each bin is worth (blocks, bins): less than one where the model may err.
+    """Tell what a pixel of each bin is worth (blocks, bins): less where the model may err.
 
     A relative error of the expected intensity, and a displacement of the pulse, are shared by the
     pixels of a cell: a group of range and a part of phase. Integrated out, an error of standard
@@ -319,7 +320,7 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
-    """Intensity of bins (blocks, bins) at the pixels that are used, times the trend; 0 elsewhere."""
+    """Spread bins (blocks, bins) over the pixels that are used, times the trend; 0 elsewhere."""
     model = paint_pixels(
         used,
         image.ground_range,
@@ -331,9 +332,9 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
     return np.asarray(model * spread_boxes(fit.trend, fit.phase.box, image.shape))
 
 
-def climbed(fit: Fit, data: Histogram, geometry: Geometry) -> Fit:
+def climbed(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:
     """Climb on from a fit's peaks on another histogram or geometry."""
-    peaks = distinct([climb(p.z, data, geometry) for p in fit.peaks], 2)
+    peaks = distinct([climb(p.z, data, geometry, rounds) for p in fit.peaks], 2)
     return fit._replace(data=data, geometry=geometry, peaks=peaks)
 
 

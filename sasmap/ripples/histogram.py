@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 # Blocks of range over which one pulse is rendered: at 4 m the slope of the ray changes by a quarter
 # over a metre, and a pulse rendered anew each quarter of a metre moved A_H by 2 %.
-LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.025
+LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.035
 # Groups of range that have a gain of their own are a wavelength long, and at most so many.
 MOST_GROUPS = 8
 # Bins of phase a pixel along the look, and their least and largest number.

@@ -69,7 +69,7 @@ def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
 
 
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
-    """Starts for :func:`climb`: the best height for each of a few laws and asymmetries."""
+    """Find starts for :func:`climb`: the best height for each of a few laws and asymmetries."""
     tangent = geometry.altitude_middle / geometry.range_middle
     wave = np.hypot(geometry.along, geometry.across)
     slopes = np.geomspace(LEAST_SLOPE, 0.95, HEIGHTS)

@@ -2,8 +2,8 @@
 
 The image over its local mean is demodulated at the strongest wave and summed over boxes a sixth of
 a wavelength wide; smoothing those gives the phase of the image's fundamental at every place, forks
-and all. Odd and even stripes across the crests are smoothed apart, and each pixel's phase is what the
-others tell, so that speckle is not taken for phase; the smoothing is the one that predicts the
+and all. Odd and even stripes across the crests are smoothed apart, and each pixel's phase is what
+the others tell, so that speckle is not taken for phase; the smoothing is the one that predicts the
 others best.
 """
 

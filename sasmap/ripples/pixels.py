@@ -131,7 +131,7 @@ def block_table(edges):  # type: ignore[no-untyped-def]
 def sum_pixels(  # type: ignore[no-untyped-def]
     power, used, saturated, ground_range, altitude, trend, field, per_pixel, along, edges, bins, box
 ):
-    """Sums of bins (blocks, bins, BIN_SUMS) and of blocks (blocks, BLOCK_SUMS).
+    """Return sums of bins (blocks, bins, BIN_SUMS) and of blocks (blocks, BLOCK_SUMS).
 
     `field` is the phase beyond the plane wave, cycles (rows, columns), empty where there is none;
     `per_pixel` cycles a column and a row and at the clip's middle; `along` metres along the look a

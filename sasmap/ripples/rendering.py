@@ -1,7 +1,7 @@
 """The rendered wavelength: what a sonar image shows of one ripple, and the likelihood of a clip.
 
-One wavelength of sea floor is cut into facets. Each has its local grazing angle, its area, its place
-in the image (an echo is placed by its slant range as if the floor were flat, so that crests lean
+One wavelength of sea floor is cut into facets. Each has its local grazing angle, its area, its
+place in the image (an echo is placed by its slant range as if the floor were flat, so that crests lean
 towards the sonar) and is lit or in shadow by line of sight. Their power is summed in bins of image
 phase and blurred. This holds for every crest profile and every scattering law; detection, estimate,
 modelled image and ripple removal use it. The model of Zare and Cobb (2013, equations 3 and 4) is
@@ -202,7 +202,7 @@ def contrast_per_slope(exponent, concentration, tangent):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
-    """Parameters at sampling coordinates: standard Gaussian under the prior, but for the first three.
+    """Return parameters at sampling coordinates: Gaussian under the prior, but for the first three.
 
     The third is the log of the contrast that A_H makes to first order, which an image tells, not of
     A_H, which it tells by way of the law.
@@ -322,7 +322,9 @@ def fill_lit(elevation, growth, lit):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_crest_rule(height, unit, wave, ground_range, altitude, lit):  # type: ignore[no-untyped-def]
+def fill_crest_rule(  # type: ignore[no-untyped-def]
+    height, unit, wave, ground_range, altitude, lit
+):
     """Share of each facet in light by the published rule (ZC 4): a ray over the preceding crest."""
     n = lit.size
     before = 0.0
@@ -388,7 +390,9 @@ def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_rendered(wave, tangent, ground_range, shadow, facets, law, pulse):  # type: ignore[no-untyped-def]
+def fill_rendered(  # type: ignore[no-untyped-def]
+    wave, tangent, ground_range, shadow, facets, law, pulse
+):
     """Sum a wavelength's power in bins of image phase, for a place at a ground range.
 
     `facets` as :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
@@ -426,7 +430,9 @@ def published_amplitude(grazing, concentration):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_published(ripple, wave, tangent, ground_range, shadow, facets, pulse):  # type: ignore[no-untyped-def]
+def fill_published(  # type: ignore[no-untyped-def]
+    ripple, wave, tangent, ground_range, shadow, facets, pulse
+):
     """Sum the published intensity a*^2 (ZC 3 and 4) in bins of phase: no area and no lean."""
     n = facets.shape[1]
     unit, derivative, elevation, lit = facets[0], facets[1], facets[3], facets[4]
@@ -533,7 +539,7 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-untyped-def]
-    """Expected intensity of each bin, (blocks, bins), and gain of each block.
+    """Fill expected intensity of each bin, (blocks, bins), and gain of each block.
 
     Return the gains' part of the likelihood: they are integrated out under 1 / gain.
     """

@@ -2,7 +2,7 @@
 
 The log density may be any function of points; nothing here knows of ripples. States are proposed
 anew from a mixture of Student densities that is fitted to a weighted population (population Monte
-Carlo: Cappe, Guillin, Marin and Robert 2004), so that the kept draws come from one reversible chain.
+Carlo: Cappe, Guillin, Marin and Robert 2004), so that the kept draws come from reversible chains.
 """
 
 from __future__ import annotations
