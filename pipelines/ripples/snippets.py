@@ -47,7 +47,7 @@ def line(posterior: Posterior) -> str:
     wavelength = 1 / float(posterior.mean.frequency) / PIXEL
     return (
         f"{text}  {wavelength:6.2f} px  normal {posterior.azimuth[0]:5.1f} deg  "
-        f"{posterior.shape.profile}, rippled {posterior.shape.rippled_fraction:.2f}"
+        f"rippled {posterior.shape.rippled_fraction:.2f}"
     )
 
 

@@ -4,7 +4,7 @@
 
 Clips of 500 x 500 pixels: flat; straight ripples without shadow; with shadow; with shadow and bent
 crests. Each is estimated as it is (the method leaves out what the clip does not need and says so)
-and with everything asked for: sampling without a test of presence, and the modelled image. Told are
+and with the modelled image as well. Told are
 seconds, what was left out, and by how many standard deviations f and A_H differ. For sediments: one
 floor and four; where there is one, nothing is refined. Writes leaving_out.md.
 """
@@ -27,7 +27,7 @@ from sasmap.sediments.trends import Look
 from sasmap.simulate import Scene, simulate_clip
 
 AS_IT_IS = RippleSettings()
-EVERYTHING = RippleSettings(presence="assumed", keep_model=True)
+EVERYTHING = RippleSettings(keep_model=True)
 SCENES = {
     "flat": None,
     "straight, no shadow": {"height": 0.03, "distance": 16},

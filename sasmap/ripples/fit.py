@@ -53,6 +53,8 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 # followed; displacement in pixels; share of a field's error that the mean over a group keeps
 # (pipelines/ripples/coherent.py).
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.25, 0.5, 16
+# Displacement under the published model, which places every echo where its facet lies.
+PUBLISHED_SHIFT = 0.1
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.12, 0.12, 0.15, 0.15, 0.3, 0.8), 0.015, 2
@@ -303,20 +305,21 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     logs = np.log(means)
     slope = 0.5 * bins * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
     turn = 0.0 if fit.phase.rigid else FIELD_SHARE * fit.phase.error / (2 * np.pi)
-    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
+    pixels = PUBLISHED_SHIFT if fit.geometry.published else MODEL_SHIFT
+    shift = np.hypot(pixels * pixel_size * fit.geometry.along, turn)
     cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
     cells = (data.group.max() + 1) * ERROR_CELLS
 
     def total(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(cell.ravel(), values.ravel(), cells), float)
 
-    pixels = np.maximum(total(data.pixel_count), 1.0)
-    displaced = total(data.pixel_count * (shift * slope) ** 2) / pixels
-    misfit = total(data.intensity_sum / means) / pixels - 1
-    excess = np.average(misfit**2 - noise_factor / pixels - displaced, weights=pixels)
+    count = np.maximum(total(data.pixel_count), 1.0)
+    displaced = total(data.pixel_count * (shift * slope) ** 2) / count
+    misfit = total(data.intensity_sum / means) / count - 1
+    excess = np.average(misfit**2 - noise_factor / count - displaced, weights=count)
     error = max(float(excess), MODEL_ERROR**2 if fit.phase.rigid else FIELD_ERROR**2)
     variance = error + (shift * slope) ** 2
-    return np.asarray(1 / (noise_factor + pixels[cell] * variance))
+    return np.asarray(1 / (noise_factor + count[cell] * variance))
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:

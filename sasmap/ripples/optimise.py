@@ -35,6 +35,8 @@ STEP, LONGEST = 1e-3, 1.5
 STARTS, ROUNDS, ENOUGH = 5, 20, 0.02
 # Generations, points and parents of a population that climbs on, and its spread over the peak's.
 GENERATIONS, CHILDREN, PARENTS, SPREAD = 10, 40, 10, 0.7
+# Least eigenvalue of the information's correlation matrix.
+LEAST_KNOWN = 1e-9
 # Peaks nearer than this in every coordinate are the same.
 SAME = 0.3
 
@@ -128,7 +130,7 @@ def climb(start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = 
     gradient, information = _slope(z, data, geometry, free)
     for _ in range(rounds):
         scale = np.diag(information)
-        step = np.linalg.solve(information + damping * np.diag(scale), gradient)
+        step = covariance_of(information + damping * np.diag(scale)) @ gradient
         step *= min(1.0, LONGEST / np.abs(step).max())
         trial = z.copy()
         trial[free] += step
@@ -143,7 +145,26 @@ def climb(start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = 
             damping = max(damping * 8, 1e-3)
             if damping > 1e6:
                 break
-    return Peak(z, level, np.asarray(np.linalg.inv(information), float))
+    return Peak(z, level, covariance_of(information))
+
+
+def covariance_of(information: FloatArray) -> FloatArray:
+    """Invert an information matrix, whose coordinates may differ in scale and in what is known.
+
+    Parameters
+    ----------
+    information : ndarray (n, n)
+        Symmetric, of positive diagonal.
+
+    Returns
+    -------
+    ndarray (n, n)
+        Symmetric and positive definite.
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-12))
+    size, turn = np.linalg.eigh(information * scale[:, None] * scale)
+    inverse = (turn / np.maximum(size, LEAST_KNOWN)) @ turn.T
+    return np.asarray(0.5 * (inverse + inverse.T) * scale[:, None] * scale)
 
 
 def polished(peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Generator) -> Peak:
@@ -176,7 +197,7 @@ def polished(peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Gen
         if levels[best[0]] > level:
             z, level = points[best[0]], float(levels[best[0]])
     _, information = _slope(z, data, geometry, free)
-    return Peak(z, level, np.asarray(np.linalg.inv(information), float))
+    return Peak(z, level, covariance_of(information))
 
 
 def distinct(peaks: list[Peak], most: int) -> list[Peak]:
