@@ -15,6 +15,7 @@ from sasmap.ripples.optimise import BLUR, Peak, climb, distinct, polished, scan
 from sasmap.ripples.phase import (
     STRAIGHT,
     PhaseField,
+    along_range,
     bend,
     bent,
     demodulate,
@@ -53,8 +54,6 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 # followed; displacement in pixels; share of a field's error that the mean over a group keeps
 # (pipelines/ripples/coherent.py).
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.25, 0.5, 16
-# Displacement under the published model, which places every echo where its facet lies.
-PUBLISHED_SHIFT = 0.1
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.12, 0.12, 0.15, 0.15, 0.3, 0.8), 0.015, 2
@@ -216,7 +215,13 @@ def refined(task: Task, fit: Fit) -> Fit:
     used = image.valid & phase.pixels(phase.covered, image.shape)
     for _ in range(TREND_ROUNDS):
         means, gains = expected_at(fit, fit.z)
-        model = painted(image, fit, used, means / gains[:, None])
+        means = means / gains[:, None]
+        seen, pixels = fit.data.intensity_sum.sum(axis=1), fit.data.pixel_count
+        ratio = np.maximum(seen, 1e-9) / (means * pixels).sum(axis=1)
+        reach = fit.data.ground_range
+        overall = along_range(image, phase.box, reach, ratio, pixels.sum(axis=1))
+        fit = fit._replace(trend=fit.trend * overall)
+        model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase, used, model)
         data = histogram(image, trend, phase)
         fit = climbed(fit._replace(trend=trend), data, fit.geometry, TREND_CLIMB)
@@ -305,8 +310,7 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     logs = np.log(means)
     slope = 0.5 * bins * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
     turn = 0.0 if fit.phase.rigid else FIELD_SHARE * fit.phase.error / (2 * np.pi)
-    pixels = PUBLISHED_SHIFT if fit.geometry.published else MODEL_SHIFT
-    shift = np.hypot(pixels * pixel_size * fit.geometry.along, turn)
+    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
     cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
     cells = (data.group.max() + 1) * ERROR_CELLS
 

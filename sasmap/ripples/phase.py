@@ -205,30 +205,60 @@ def range_trend(image: Image, size: int) -> FloatArray:
     Returns
     -------
     ndarray (box rows, box columns)
-        Mean 1 over the boxes; 1 where none is known.
+        Mean 1 over the boxes that hold a pixel; 1 elsewhere.
     """
-    valid = image.valid
-    reach = np.where(valid, image.ground_range, 0.0)
-    sums = [box_sums(v, valid, 0.0, 0.0, size)[0].real for v in (reach, image.power)]
-    count = box_sums(reach, valid, 0.0, 0.0, size)[1]
+    place, count = _log_range(image, size)
+    total = box_sums(image.power, image.valid, 0.0, 0.0, size)[0].real
     filled = count > 0
-    x = np.log(sums[0][filled] / count[filled])
-    middle, half = 0.5 * (x.max() + x.min()), max(0.5 * float(np.ptp(x)), 1e-9)
-    x = (x - middle) / half
+    x = place[filled]
     # means of even steps of log range first: intensity is far from Gaussian
-    step = np.minimum((x + 1) * 0.5 * RANGE_STEPS, RANGE_STEPS - 1).astype(int)
-    pixels, total, place = (
-        np.bincount(step, v, RANGE_STEPS)
-        for v in (count[filled], sums[1][filled], x * count[filled])
+    step = (x - x.min()) / max(float(np.ptp(x)), 1e-9) * RANGE_STEPS
+    step = np.minimum(step, RANGE_STEPS - 1).astype(int)
+    pixels, power, where = (
+        np.bincount(step, v, RANGE_STEPS) for v in (count[filled], total[filled], x * count[filled])
     )
-    some = total > 0
-    if some.sum() < 2 * RANGE_DEGREE:
-        return np.ones(count.shape)
-    where, level = place[some] / pixels[some], np.log(total[some] / pixels[some])
-    line = np.polyfit(where, level, RANGE_DEGREE, w=np.sqrt(pixels[some]))
+    some = power > 0
+    ratio = power[some] / pixels[some]
+    reach = np.exp(where[some] / pixels[some])
+    return along_range(image, size, reach, ratio, np.asarray(pixels[some], float))
+
+
+def along_range(
+    image: Image, size: int, reach: FloatArray, ratio: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """Polynomial in the log of range through the log of ratios, over boxes.
+
+    Parameters
+    ----------
+    image : Image
+    size : int
+        Pixels a side of a box.
+    reach, ratio, weight : ndarray (n,)
+        Ground range (m), what is found there, and the pixels that it rests on.
+
+    Returns
+    -------
+    ndarray (box rows, box columns)
+        Mean 1 over the boxes that hold a pixel; 1 elsewhere, and where n is too small.
+    """
+    place, count = _log_range(image, size)
+    filled = count > 0
     trend = np.ones(count.shape)
-    trend[filled] = np.exp(np.polyval(line, x))
+    if len(reach) < 2 * RANGE_DEGREE:
+        return trend
+    middle, half = float(np.log(reach).mean()), max(float(np.ptp(np.log(reach))), 1e-9)
+    x = (np.log(reach) - middle) / half
+    line = np.polyfit(x, np.log(ratio), RANGE_DEGREE, w=np.sqrt(weight))
+    trend[filled] = np.exp(np.polyval(line, (place[filled] - middle) / half))
     return trend / float(trend[filled].mean())
+
+
+def _log_range(image: Image, size: int) -> tuple[FloatArray, FloatArray]:
+    """Log of the mean ground range of boxes, 0 where there is none, and their pixels."""
+    reach = np.where(image.valid, image.ground_range, 0.0)
+    total, count = box_sums(reach, image.valid, 0.0, 0.0, size)
+    mean = total.real / np.maximum(count, 1)
+    return np.log(np.where(count > 0, mean, 1.0)), count
 
 
 def rewaved(image: Image, boxes: Boxes, wave: FloatArray) -> Boxes:
