@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sasmap.config import load_survey, survey_schema
 from sasmap.errors import InputError
+from sasmap.version import VERSION
 from sasmap.wording import duration
 
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -49,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sasmap", description="Sand ripples and sediments from sonar tiles, with error bars."
     )
+    parser.add_argument("--version", action="version", version=f"sasmap {VERSION}")
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 
     run = verbs.add_parser(

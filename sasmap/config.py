@@ -209,7 +209,7 @@ def load_survey(path: str | Path) -> Survey:
     Parameters
     ----------
     path : str or Path
-        The survey file (INTERFACE "survey.yaml").
+        The survey file (docs/keys.md).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The names of what a run writes into its output folder (INTERFACE "Products")."""
+"""The names of what a run writes into its output folder (README, products)."""
 
 RIPPLE_PRODUCTS = (
     "ripple_frequency.tif",

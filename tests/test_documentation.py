@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
     "sasmap.config",
     "sasmap.survey.opening",
-    "sasmap.ripples.estimate",
+    "sasmap.ripples.estimation",
     "sasmap.sediments.distributions",
 )
 

@@ -2,7 +2,7 @@ from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.store import Store, code_version, digest
 
-DONE = Summary(Quality.GOOD, LeftOut.SHADOW | LeftOut.TREND, mean=(0.1 + 0.2, 1 / 3), azimuth=90.0)
+DONE = Summary(Quality.GOOD, LeftOut.SHADOW | LeftOut.PHASE_FIELD, mean=(0.1 + 0.2, 1 / 3), azimuth=90.0)
 
 
 def test_results_come_back_to_the_bit(tmp_path):
@@ -12,7 +12,7 @@ def test_results_come_back_to_the_bit(tmp_path):
     again = store.load("ab12")
     assert repr(again) == repr(DONE)
     assert isinstance(again.quality, Quality)
-    assert LeftOut.TREND in again.left_out
+    assert LeftOut.PHASE_FIELD in again.left_out
 
 
 def test_broken_results_count_as_unfinished(tmp_path):

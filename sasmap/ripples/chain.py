@@ -1,4 +1,4 @@
-"""Passes chained: what one look learned, the next one starts from (ZC 4.2; SCIENCE 3).
+"""Passes chained: what one look learned, the next one starts from (ZC 4.2; docs/science.md).
 
 Each look's posterior of (f, A_H, azimuth) under the survey's own flat prior is a Gaussian mixture.
 What a cell knows after several looks is the product of theirs, each widened by a scatter for change

@@ -23,7 +23,7 @@ JUDGED = ("frequency", "height", "azimuth")
 
 
 class Quality(IntEnum):
-    """Quality of a cell (INTERFACE "Products")."""
+    """Quality of a cell (README, products)."""
 
     NO_DATA = 0
     GOOD = 1

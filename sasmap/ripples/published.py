@@ -1,4 +1,4 @@
-"""The published sampler, as published (ZC 3 and Algorithm 1; SCIENCE 3 "The published method").
+"""The published sampler, as published (ZC 3 and Algorithm 1; docs/science.md, the published method).
 
 Median-filtered and normalised amplitudes, a Gaussian likelihood of variance 1 about the raw a*,
 phase zero at the track, the crest rule for shadow. Kept because it is published and for comparison;
@@ -24,7 +24,7 @@ FILTER = 5
 NARROW_WEIGHT = 0.7
 # Variances of the proposal's two Gaussians, for f and A_H alike (ZC 3.2.3).
 NARROW_VARIANCE, WIDE_VARIANCE = 0.01, 0.1
-# The paper gives no number; with this one the printed errors come out (SCIENCE 3).
+# The paper gives no number; with this one the printed errors come out (docs/science.md).
 ITERATIONS = 5000
 
 
@@ -63,7 +63,7 @@ def normalise(clip: Clip) -> FloatArray:
     -------
     ndarray (rows, columns)
         Median filtered over 5 x 5 pixels, less its mean, over its maximum before the mean was
-        taken off (SCIENCE 3); NaN outside the valid pixels.
+        taken off (docs/science.md); NaN outside the valid pixels.
     """
     valid = clip.valid
     middle = float(np.median(clip.amplitude[valid]))

@@ -2,8 +2,8 @@
 
 One wavelength of sea floor is cut into facets. Each has its local grazing angle, its area, its
 place in the image (an echo is placed by its slant range as if the floor were flat, so that crests
-lean towards the sonar) and is lit or in shadow by line of sight. Their power is summed in bins of image
-phase and blurred. This holds for every crest profile and every scattering law; detection, estimate,
+lean towards the sonar) and is lit or in shadow by line of sight. Their power is summed in bins of
+image phase and blurred. This holds for every crest profile and every scattering law; estimate,
 modelled image and ripple removal use it. The model of Zare and Cobb (2013, equations 3 and 4) is
 rendered by the same loop where a survey asks for it.
 

@@ -1,4 +1,4 @@
-"""Sonar amplitude of a rippled sea floor: cross section, profiles, shadow (SCIENCE 2; ZC 1-4).
+"""Sonar amplitude of a rippled sea floor: cross section, profiles, shadow (docs/science.md; ZC 1-4).
 
 All functions take arrays that broadcast, angles in radians and lengths in metres.
 """
@@ -49,7 +49,7 @@ def profile_height(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName)
     Returns
     -------
     ndarray
-        h / A_H (SCIENCE 2 "Profiles").
+        h / A_H (docs/science.md, profiles).
     """
     phase = np.asarray(phase, float)
     sine = np.sin(phase)
@@ -134,7 +134,7 @@ def shadow_line_of_sight(
     -------
     ndarray of bool (..., n)
         True where an earlier point hides this one: (h - altitude) / range below its running
-        maximum (SCIENCE 2). Start the arrays a wavelength before the first point of interest.
+        maximum (docs/science.md). Start the arrays a wavelength before the first point of interest.
     """
     rise = (np.asarray(height, float) - altitude) / np.asarray(ground_range, float)
     return np.asarray(rise < np.maximum.accumulate(rise, axis=-1))
@@ -163,7 +163,7 @@ def shadow_crest_rule(
     Returns
     -------
     ndarray of bool
-        ZC 4 with the distance to the preceding crest in place of its misprinted g (SCIENCE 2). It
+        ZC 4 with the distance to the preceding crest in place of its misprinted g (docs/science.md). It
         starts shadow at about 1.38 times the range where a line of sight does.
     """
     phase = np.asarray(phase, float)

@@ -174,7 +174,7 @@ def best_positions(log_left: FloatArray, log_right: FloatArray) -> NDArray[np.in
     Returns
     -------
     ndarray of int (rows,)
-        The maximum of the cumulative sum of log p_L / p_R (SCIENCE 5).
+        The maximum of the cumulative sum of log p_L / p_R (docs/science.md).
     """
     ratio = np.asarray(log_left, float) - np.asarray(log_right, float)
     total = np.concatenate([np.zeros((ratio.shape[0], 1)), np.cumsum(ratio, axis=1)], axis=1)

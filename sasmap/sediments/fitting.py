@@ -2,7 +2,7 @@
 
 Takes raw or weighted samples (gathered in narrow bins of log amplitude, each at
 its own mean) or histograms, whose bins are integrated over: a density at bin centres is not what an
-8-bit image holds (SCIENCE 4 "Fitting").
+8-bit image holds (docs/science.md, fitting).
 """
 
 from __future__ import annotations

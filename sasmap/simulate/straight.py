@@ -31,7 +31,7 @@ def straight_clip(
     correlation: float = 0.0,
     lambert: bool = False,
 ) -> Clip:
-    """Simulate a clip looked at eastwards from a straight track (SCIENCE 2).
+    """Simulate a clip looked at eastwards from a straight track (docs/science.md).
 
     Parameters
     ----------

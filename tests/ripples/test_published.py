@@ -60,7 +60,7 @@ def test_normalisation_and_start_are_the_published_ones():
     ],
 )
 def test_published_errors_failures_included(near, far, frequency, error_f, error_height):
-    # mean squared errors of SCIENCE 3, within a factor of five
+    # mean squared errors of docs/science.md, within a factor of five
     errors = []
     for seed in range(8):
         clip = zare_cobb_clip(near, far, frequency, 0.07, seed=seed)

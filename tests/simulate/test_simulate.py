@@ -59,7 +59,7 @@ def test_texture_and_steady_part_keep_the_mean_square(nu, kappa):
     scene = scene_of(sediments=[{"name": "s", "nu": nu, "kappa": kappa}])
     power = (tile_of(scene).astype(float) / noiseless(scene)) ** 2
     assert abs(power.mean() - 1) < 0.03
-    # E[y^2] of SCIENCE 4: gamma texture z, x | z Rice of drift z kappa and scatter z
+    # E[y^2] of docs/science.md: gamma texture z, x | z Rice of drift z kappa and scatter z
     a2 = 1 / (1 + kappa**2 * (1 + 1 / nu))
     z2, z3, z4 = (
         (1 + 1 / nu),
