@@ -125,8 +125,8 @@ def simulate(
     every = Histogram(
         one, one, 0 * one, x[0], reach, altitude, np.ones(n), np.zeros(n, int), one[None], one
     )
-    pulses, lags = np.empty((n, BINS)), np.empty(n)
-    fill_pulses(ripple, every, geometry, pulses, lags)
+    pulses = np.empty((n, BINS))
+    fill_pulses(ripple, every, geometry, pulses, *np.empty((2, n)))
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
     # errors that a wavelength of range and a part of phase share
     group = ((reach - reach[0]) * geometry.along).astype(int)

@@ -186,12 +186,12 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     )
 
 
-def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pulses (blocks, bins) over ripple phase and lags (blocks,) at sampling coordinates."""
+def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
     pulses = np.empty(fit.data.pixel_count.shape)
-    lags = np.empty(len(pulses))
-    fill_pulses(parameters_at(z, fit.geometry), fit.data, fit.geometry, pulses, lags)
-    return pulses, lags
+    lags, levels = np.empty((2, len(pulses)))
+    fill_pulses(parameters_at(z, fit.geometry), fit.data, fit.geometry, pulses, lags, levels)
+    return pulses, lags, levels
 
 
 def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:

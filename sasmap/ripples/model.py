@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.fit import Fit, expected_at
+from sasmap.ripples.fit import Fit, expected_at, pulses_at
 from sasmap.ripples.image import BoolArray, Image
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.rendering import parameters_at
@@ -65,7 +65,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> Modelled
         return Modelled(result, relief)
     every = points.reshape(-1, points.shape[-1])
     chosen = every[:: max(len(every) // DRAWS, 1)]
-    mean, lit = np.mean([_levels(z, fit) for z in chosen], axis=0)
+    mean, over, lit = np.mean([_levels(z, fit) for z in chosen], axis=0)
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
@@ -83,18 +83,22 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> Modelled
     dark = paint(lit) < SHADOW
     if not phase.rigid:  # the phase is a field, known to an error
         dark = _as_far_as_it_may_be(dark, phase.error, image.per_pixel(phase.wave))
-    relief[known] = np.where(dark, 0.0, amplitude)[known]
+    relief[known] = np.where(dark, 0.0, paint(over))[known]
     result[known] = RAYLEIGH * image.rms * amplitude[known] * trend[known]
     return Modelled(result, relief)
 
 
 def _levels(z: FloatArray, fit: Fit) -> FloatArray:
-    """Amplitude over the local mean's, and that without noise (2, blocks, bins)."""
-    means, _ = expected_at(fit, z)
+    """Tell amplitude over the local mean's, over flat sea floor's, and without noise.
+
+    (3, blocks, bins)
+    """
+    means, gains = expected_at(fit, z)
     ripple, geometry = parameters_at(z, fit.geometry), fit.geometry
     ratio = fit.data.ground_range / geometry.range_middle
-    floor = ripple.noise * ratio**ripple.noise_slope / fit.data.trend
-    return np.asarray(np.sqrt([means, np.maximum(means - floor[:, None], 0.0)]))
+    floor = (ripple.noise * ratio**ripple.noise_slope / fit.data.trend)[:, None]
+    flat = (gains / np.maximum(pulses_at(fit, z)[2], 1e-3))[:, None]
+    return np.asarray(np.sqrt([means, means / (flat + floor), np.maximum(means - floor, 0) / flat]))
 
 
 def _as_far_as_it_may_be(dark: BoolArray, error: float, cycles: FloatArray) -> BoolArray:

@@ -99,8 +99,10 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     """Wave number (cycles/m) and phase (rad) by which a straight wave's image is off its crests."""
     if geometry.follows_image:
         return np.zeros(2)
-    pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
-    fill_pulses(parameters_at(np.append([0.0, 0.0], z[2:]), geometry), data, geometry, pulses, lags)
+    pulses = np.empty(data.pixel_count.shape)
+    lags, levels = np.empty((2, len(data.place)))
+    ripple = parameters_at(np.append([0.0, 0.0], z[2:]), geometry)
+    fill_pulses(ripple, data, geometry, pulses, lags, levels)
     weight = np.sqrt(data.pixel_count.sum(axis=1))
     slope, phase = (
         np.polyfit(data.place, np.unwrap(lags), 1, w=weight) if len(lags) > 1 else (0, lags[0])

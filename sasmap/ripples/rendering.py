@@ -492,10 +492,11 @@ def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_pulses(ripple, data, geometry, pulses, lags):  # type: ignore[no-untyped-def]
+def fill_pulses(ripple, data, geometry, pulses, lags, levels):  # type: ignore[no-untyped-def]
     """Pulse of each block over ripple phase (blocks, bins), of mean 1, and its fundamental's lag.
 
-    The lag is the ripple's phase at which the fundamental peaks, rad: 0 to first order.
+    The lag is the ripple's phase at which the fundamental peaks, rad: 0 to first order. `levels`
+    become the mean intensity over that of flat sea floor there (blocks,).
     """
     blocks, bins = data.pixel_count.shape
     facets = np.empty((5, FACETS * bins))
@@ -511,8 +512,11 @@ def fill_pulses(ripple, data, geometry, pulses, lags):  # type: ignore[no-untype
         pulse[:] = 0.0
         if geometry.published:
             fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, pulse)
+            flat = published_amplitude(np.arctan(tangent), ripple.concentration) ** 2
         else:
             fill_rendered(wave, tangent, distance, geometry.shadow > 0, facets, law, pulse)
+            flat = law[int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
+        levels[b] = pulse.sum() / (facets.shape[1] * flat)
         lags[b] = fill_blurred(pulse, kernel, reach, pulses[b])
 
 
@@ -544,8 +548,8 @@ def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-unty
     Return the gains' part of the likelihood: they are integrated out under 1 / gain.
     """
     blocks, bins = means.shape
-    pulses, lags = np.empty((blocks, bins)), np.empty(blocks)
-    fill_pulses(ripple, data, geometry, pulses, lags)
+    pulses, lags, levels = np.empty((blocks, bins)), np.empty(blocks), np.empty(blocks)
+    fill_pulses(ripple, data, geometry, pulses, lags, levels)
     floors = np.empty(blocks)
     offsets = data.phase_offset
     for b in range(blocks):
