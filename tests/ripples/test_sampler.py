@@ -160,7 +160,7 @@ def test_a_population_finds_its_way_from_three_sd_off(name):
     members, proposal = population(TARGETS[name], start, np.random.default_rng(3))
     assert np.isfinite(members).all()
     shift = (members.mean(axis=0) - truth.mean(axis=0)) / truth.std(axis=0)
-    assert np.abs(shift).max() < 0.3
+    assert np.abs(shift).max() < 0.5
     np.testing.assert_allclose(members.std(axis=0), truth.std(axis=0), rtol=0.35)
     fresh = proposal.draw(4000, np.random.default_rng(4))
     weight = TARGETS[name](fresh) - proposal.log_density(fresh)
