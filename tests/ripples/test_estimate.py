@@ -94,9 +94,7 @@ def test_contrast_alone_leaves_height_open_until_the_law_is_known():
     assert narrow < 0.25 * sd
     assert abs(mean - 0.03) < 4 * narrow
     # what is open is which law: the two go together
-    tied = np.corrcoef(
-        free.draws.exponent.values.ravel(), np.log(free.draws.height.values.ravel())
-    )
+    tied = np.corrcoef(free.draws.exponent.values.ravel(), np.log(free.draws.height.values.ravel()))
     assert tied[0, 1] < -0.5
 
 
@@ -132,7 +130,7 @@ def test_every_parameter_has_a_name_and_a_unit():
     assert set(draws.data_vars) == names
     assert draws.frequency.attrs["units"] == "cycles/m"
     assert draws.height.attrs["units"] == "m"
-    assert 0 <= float(draws.phase.min())
+    assert float(draws.phase.min()) >= 0
     assert float(draws.phase.max()) < 2 * np.pi
 
 

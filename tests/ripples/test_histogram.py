@@ -36,7 +36,7 @@ def test_pixels_and_intensity_are_conserved():
 def test_each_bin_holds_the_pixels_of_its_phase_and_range():
     clip = flat_clip(rows=7)
     wave = np.array([0.62, 0.0])
-    image, _, field, data, _ = summed(clip, wave, origin=0.3, trend=1.0)
+    image, _, _, data, _ = summed(clip, wave, origin=0.3, trend=1.0)
     bins = data.pixel_count.shape[1]
     cycles = (0.3 + 0.62 * 0.05 * (np.arange(220) - 109.5)) % 1
     place = np.minimum((cycles * bins).astype(int), bins - 1)

@@ -67,7 +67,11 @@ def test_coordinates_are_those_of_the_parameters():
 
 @pytest.mark.parametrize(
     ("law", "height", "ranges"),
-    [(LAMBERT, 0.07, (8.0, 18.0)), (GAUSSIAN, 0.08, (14.0, 24.0)), ((1.0, 0.3), 0.05, (12.0, 22.0))],
+    [
+        (LAMBERT, 0.07, (8.0, 18.0)),
+        (GAUSSIAN, 0.08, (14.0, 24.0)),
+        ((1.0, 0.3), 0.05, (12.0, 22.0)),
+    ],
 )
 def test_climb_finds_what_made_the_histogram(law, height, ranges):
     truth, data, where = scene(height, law, ranges, peakedness=0.06)

@@ -197,7 +197,7 @@ def half_rippled():
 
 
 def test_ripples_in_half_a_cell_are_found_and_only_there():
-    posterior = estimate(half_rippled(), KEEP, rng=1)
+    posterior = estimate(half_rippled(), RippleSettings(keep_model=True, draws=500), rng=1)
     assert abs(float(posterior.mean.frequency) - 0.8) < 5e-3
     assert 0.3 < posterior.shape.rippled_fraction < 0.75
     rows = np.isfinite(posterior.model).mean(axis=1)

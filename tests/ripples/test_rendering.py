@@ -1,4 +1,4 @@
-"""The rendered wavelength against rays, exact places and a simulator that shares nothing with it."""
+"""The rendered wavelength against rays, exact places and a simulator that knows nothing of it."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_peaked_and_asymmetric_profiles_are_what_they_say():
     x = 2 * np.pi * (np.arange(4000) + 0.5) / 4000
     peaked = 2 * ((1 + np.sin(x)) / 2) ** 2 - 1
     np.testing.assert_allclose(profile(4000, 0.25)[0], peaked - peaked.mean(), atol=1e-5)
-    heights, slopes = profile(4000, 0.0, 0.25)
+    _, slopes = profile(4000, 0.0, 0.25)
     assert slopes.min() < -1.3 * slopes.max() or slopes.max() > -1.3 * slopes.min()
     x3 = np.exp(-3j * x)
     third = 2 * np.mean(profile(4000, third=(0.0, 0.1))[0] * x3)
@@ -121,9 +121,7 @@ def test_pulse_is_that_of_many_facets_traced_one_by_one(shape, height, distance,
     along, altitude, blur = 0.6, 5.0, 0.02
     peakedness, asymmetry = SHAPES[shape]
     truth = ripple(height, law, peakedness=peakedness, asymmetry=asymmetry, blur=blur)
-    (pulse,), _ = pulses_of(
-        truth, empty(distance, altitude), geometry(along, distance, altitude)
-    )
+    (pulse,), _ = pulses_of(truth, empty(distance, altitude), geometry(along, distance, altitude))
     place, power, _ = ray_traced(truth, along, distance, altitude)
     for k in (1, 2, 3):
         expected = 2 * (power * np.exp(2j * np.pi * k * place)).sum() / power.sum()
@@ -262,7 +260,9 @@ def test_coherent_facets_show_this_pulse(law, near):
     )
     assert field.rigid
     exponent = 2.0 if law == "lambert" else law.exponent
-    truth = ripple(0.08, (exponent, 0.0), noise_slope=0.0, blur=0.5 * 0.05 * 0.62, noise=DYNAMIC_RANGE)
+    truth = ripple(
+        0.08, (exponent, 0.0), noise_slope=0.0, blur=0.5 * 0.05 * 0.62, noise=DYNAMIC_RANGE
+    )
     # flat floor's own trend, and one gain
     level = np.sin(np.arctan2(data.altitude, data.ground_range)) ** exponent
     level /= level.mean()
