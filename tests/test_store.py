@@ -2,7 +2,9 @@ from sasmap.ripples.passes import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.store import Store, code_version, digest
 
-DONE = Summary(Quality.GOOD, LeftOut.SHADOW | LeftOut.PHASE_FIELD, mean=(0.1 + 0.2, 1 / 3), azimuth=90.0)
+DONE = Summary(
+    Quality.GOOD, LeftOut.SHADOW | LeftOut.PHASE_FIELD, mean=(0.1 + 0.2, 1 / 3), azimuth=90.0
+)
 
 
 def test_results_come_back_to_the_bit(tmp_path):

@@ -1,4 +1,4 @@
-"""The published sampler, as published (ZC 3 and Algorithm 1; docs/science.md, the published method).
+"""The published sampler, as published (ZC 3 and Algorithm 1; docs/science.md).
 
 Median-filtered and normalised amplitudes, a Gaussian likelihood of variance 1 about the raw a*,
 phase zero at the track, the crest rule for shadow. Kept because it is published and for comparison;

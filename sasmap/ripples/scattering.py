@@ -1,4 +1,4 @@
-"""Sonar amplitude of a rippled sea floor: cross section, profiles, shadow (docs/science.md; ZC 1-4).
+"""Sonar amplitude of a rippled sea floor: cross section, profiles, shadow (ZC 1-4).
 
 All functions take arrays that broadcast, angles in radians and lengths in metres.
 """
@@ -163,8 +163,8 @@ def shadow_crest_rule(
     Returns
     -------
     ndarray of bool
-        ZC 4 with the distance to the preceding crest in place of its misprinted g (docs/science.md). It
-        starts shadow at about 1.38 times the range where a line of sight does.
+        ZC 4 with the distance to the preceding crest in place of its misprinted g. It starts
+        shadow at about 1.38 times the range where a line of sight does.
     """
     phase = np.asarray(phase, float)
     ground_range = np.asarray(ground_range, float)

@@ -1,6 +1,6 @@
 """Amplitude laws of sea floors under the conventions of scipy.stats: generalised K and K.
 
-Rayleigh, Rice, Weibull and lognormal are scipy's own. Of the generalised K (docs/science.md; G 5) no
+Rayleigh, Rice, Weibull and lognormal are scipy's own. Of the generalised K (G 5) no
 factor is computed that could overflow or cancel: see :mod:`sasmap.sediments.kernel`.
 """
 

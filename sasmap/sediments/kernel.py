@@ -1,7 +1,7 @@
 """The generalised-K density, in logs, for any arguments: the compiled inner loop.
 
 Texture z ~ Gamma(nu, mean 1); given z the amplitude is Rice with drift z kappa and mean square
-scatter z (docs/science.md; G 5), so with scale a = 1
+scatter z (G 5), so with scale a = 1
 
     p(x) = 2 x i0e(2 kappa x) C(nu) J,      C(nu) = nu^nu exp(-nu) / Gamma(nu),
     J = integral over z of exp(-(x - kappa z)^2 / z - nu (z - 1 - log z)) dz / z^2

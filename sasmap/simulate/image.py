@@ -104,7 +104,7 @@ def scattering(
     view: View,
     pixel: float,
 ) -> FloatArray:
-    """Amplitude a* at map points (docs/science.md), over that of flat sea floor at the scene's centre.
+    """Amplitude a* at map points (ZC 3), over that of flat sea floor at the scene's centre.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def scattering(
     waves = floor.waves(x, y)
     grazing = np.arctan2(view.altitude, view.ground_range)
     along_look = waves.east * line.look[0] + waves.north * line.look[1]
-    # looked at from behind, the same sea floor has its phase reversed (docs/science.md, orientation)
+    # looked at from behind, the same sea floor has its phase reversed (docs/science.md)
     phase = np.where(along_look < 0, np.pi - waves.phase, waves.phase)
     along_look = np.abs(along_look)
     steepness = 2 * np.pi * along_look * waves.height

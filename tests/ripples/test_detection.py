@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from sasmap.ripples import Prior, RippleSettings, estimate
+from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.simulate import straight_clip
 from tests.helpers import clip_of
 
 
@@ -51,17 +50,3 @@ def test_a_band_a_trend_and_lines_of_gain_are_no_ripples():
 def test_ripples_seen_along_their_crests_are_not_identifiable_or_unseen():
     clip = image(wave(np.pi / 2, 0.5))
     assert estimate(clip, rng=1).quality is Quality.NOT_IDENTIFIABLE
-
-
-def test_presence_assumed_estimates_and_says_that_nothing_shows():
-    settings = RippleSettings(presence="assumed", draws=200)
-    prior = Prior((0.6, 0.05), (0.05, 0.02), (settings.frequency, settings.height))
-    flat = estimate(image(np.ones((200, 200))), settings, rng=1, prior=prior)
-    assert flat.sampled
-    assert flat.quality is Quality.NOT_IDENTIFIABLE
-    assert LeftOut.PRESENCE_TEST in flat.left_out
-    assert abs(float(flat.mean.frequency) - 0.6) < 0.25
-    rng = np.random.default_rng(2)
-    there = straight_clip(rng, frequency=0.6, height=0.05, pixel_size=0.06)
-    found = estimate(there, settings, rng=1, prior=prior)
-    assert abs(float(found.mean.frequency) - 0.6) < 0.01

@@ -75,7 +75,7 @@ def test_shadow_scan_equals_every_ray_tried(height, wavelength, altitude, near):
 
 
 def test_published_fractions_of_shadow():
-    # docs/science.md: crest rule / line of sight, A_H = 0.07 m, f = 0.6, A_S = 4.83 m
+    # crest rule / line of sight, A_H = 0.07 m, f = 0.6, A_S = 4.83 m
     for near, crest, sight in ((12.2, 0.0, 0.125), (24.4, 0.26, 0.45)):
         r = near - 2 + np.linspace(0, 14.2, 28401)
         phase = 2 * np.pi * 0.6 * r

@@ -1,0 +1,121 @@
+"""Engine parts that tests build by hand: geometries, histograms without noise, coherent clips."""
+
+import numpy as np
+
+from sasmap.ripples.fit import Task, clip_geometry
+from sasmap.ripples.histogram import histogram
+from sasmap.ripples.image import as_image
+from sasmap.ripples.phase import demodulate, straight
+from sasmap.ripples.priors import Prior
+from sasmap.ripples.rendering import (
+    LAW_KNOTS,
+    LINE_OF_SIGHT,
+    Geometry,
+    Histogram,
+    Parameters,
+    fill_expected,
+    fill_pulses,
+)
+from sasmap.ripples.settings import RippleSettings
+from sasmap.simulate import coherent_cell
+
+LAMBERT, GAUSSIAN = (2.0, 0.0), (0.0, 3 / np.pi)
+
+
+def ripple(height, law=LAMBERT, **changes):
+    """Parameters of a sine without noise or blur."""
+    plain = Parameters(0.0, 0.0, height, *law, 0.0, 0.0, 1e-9, 1.0, 1e-6, 1.0)
+    return plain._replace(**changes)
+
+
+def geometry(along, ground_range, altitude, **changes):
+    """A geometry with everything estimated and natural priors."""
+    prior = Prior.natural((0.05, 5.0), (0.0, 0.5))
+    made = Geometry(
+        along=along,
+        across=0.0,
+        range_middle=ground_range,
+        altitude_middle=altitude,
+        altitude_sd=0.02,
+        expected_blur=0.02,
+        follows_image=False,
+        published=False,
+        shadow=LINE_OF_SIGHT,
+        law_error=np.zeros(LAW_KNOTS.size),
+        third_harmonic=np.zeros(2),
+        fixed=np.full(4, np.nan),
+        height_mean=0.25,
+        height_sd=np.inf,
+        height_least=0.0,
+        height_most=0.5,
+        frequency_mean=2.5,
+        frequency_sd=np.inf,
+        steepness_middle=prior.steepness[0],
+        steepness_sd=prior.steepness[1],
+    )
+    return made._replace(**changes)
+
+
+def empty(ground_range, altitude, bins=64, count=400.0, group=None, offset=0.0):
+    """A histogram of bins that are all as full, at ranges, without intensity yet."""
+    ground_range = np.atleast_1d(np.asarray(ground_range, float))
+    shape = (ground_range.size, bins)
+    return Histogram(
+        np.full(shape, count),
+        np.zeros(shape),
+        np.full(shape, offset),
+        ground_range - ground_range.mean(),
+        ground_range,
+        np.full(shape[0], altitude),
+        np.ones(shape[0]),
+        np.zeros(shape[0], np.int64) if group is None else np.asarray(group, np.int64),
+        np.zeros((0, *shape)),
+        np.zeros((0, 0)),
+    )
+
+
+def noiseless(truth, data, where):
+    """The histogram that a ripple is expected to make, gain 1."""
+    pulses, _ = pulses_of(truth, data, where)
+    sums = np.ones_like(data.pixel_count)
+    means, gains = np.empty(sums.shape), np.empty(len(sums))
+    full = data._replace(intensity_sum=sums * data.pixel_count * pulses)
+    fill_expected(truth, full, where, means, gains)
+    # the gain is that of these sums; what is expected at it reproduces itself
+    full = data._replace(intensity_sum=data.pixel_count * means / gains[:, None])
+    fill_expected(truth, full, where, means, gains)
+    return data._replace(intensity_sum=data.pixel_count * means)
+
+
+def pulses_of(truth, data, where):
+    """Pulses (blocks, bins) and lags (blocks,)."""
+    pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
+    fill_pulses(truth, data, where, pulses, lags)
+    return pulses, lags
+
+
+def harmonic(pulse, k):
+    """Complex amplitude of a pulse's k-th harmonic over its mean: of cos(2 pi k place - angle)."""
+    place = (np.arange(pulse.size) + 0.5) / pulse.size
+    return 2 * np.mean(pulse * np.exp(2j * np.pi * k * place)) / pulse.mean()
+
+
+def coherent(seed, law="lambert", height=0.08, frequency=0.62, near=12.0, **changes):
+    """A coherent cell of straight crests looked at square-on, and what is true of it."""
+    given = {"altitude": 5.0, "pixel_size": 0.05, "shape": (260, 260)} | changes
+    rng = np.random.default_rng(seed)
+    return coherent_cell(rng, frequency=frequency, height=height, near=near, law=law, **given)
+
+
+def summed(clip, wave, settings=None, origin=None, trend=None):
+    """An image, its task, straight phase, histogram at a wave and geometry."""
+    image = as_image(clip)
+    settings = settings or RippleSettings()
+    task = Task(image, settings, Prior.natural(settings.frequency, settings.height), 0.02)
+    boxes = demodulate(image, wave)
+    phase = straight(image, boxes)
+    if origin is not None:
+        phase = type(phase)(**{**vars(phase), "origin": origin})
+    level = boxes.trend if trend is None else np.full(boxes.trend.shape, trend)
+    data = histogram(image, level, phase)
+    return image, task, phase, data, clip_geometry(task, phase, data)
