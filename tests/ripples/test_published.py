@@ -60,11 +60,7 @@ def test_normalisation_and_start_are_the_published_ones():
     ],
 )
 def test_published_errors_failures_included(near, far, frequency, error_f, error_height):
-<<<<<<< HEAD
-    # mean squared errors of docs/science.md, within a factor of five
-=======
     # mean squared errors of this reading of the paper, within a factor of five
->>>>>>> ripple-tests
     errors = []
     for seed in range(8):
         clip = zare_cobb_clip(near, far, frequency, 0.07, seed=seed)
