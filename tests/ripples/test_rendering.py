@@ -193,7 +193,7 @@ def test_echoes_are_placed_by_slant_range(altitude, distance, height):
     place = np.angle(harmonic(pulse, 1)) / (2 * np.pi)
     shown = np.sqrt(distance**2 + (altitude - height) ** 2 - altitude**2)
     expected = 100.5 / n + (shown - distance) * along
-    assert abs((place - expected + 0.5) % 1 - 0.5) < 1e-3
+    assert abs((place - expected + 0.5) % 1 - 0.5) < 5e-4
     assert (shown < distance) == (height > 0)  # crests lean towards the sonar
 
 
