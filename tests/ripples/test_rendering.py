@@ -191,10 +191,15 @@ def test_echoes_are_placed_by_slant_range(altitude, distance, height):
     facets[2, 100] = 1.0  # all power in one facet
     fill_rendered(along, altitude / distance, distance, False, facets, law, pulse)
     place = np.angle(harmonic(pulse, 1)) / (2 * np.pi)
+    # what is shown at a range lies at r with r'^2 = r^2 + (A - h)^2 - A^2
+    lies = np.sqrt(distance**2 - (altitude - height) ** 2 + altitude**2)
+    expected = 100.5 / n - (lies - distance) * along
+    assert abs((place - expected + 0.5) % 1 - 0.5) < 2e-4
+    assert (lies > distance) == (height > 0)  # crests lean towards the sonar
+    # and nearly so for the facet's own range
     shown = np.sqrt(distance**2 + (altitude - height) ** 2 - altitude**2)
     expected = 100.5 / n + (shown - distance) * along
     assert abs((place - expected + 0.5) % 1 - 0.5) < 1e-3
-    assert (shown < distance) == (height > 0)  # crests lean towards the sonar
 
 
 @pytest.mark.parametrize("distance", [8.0, 20.0, 35.0])
