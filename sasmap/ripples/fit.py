@@ -53,12 +53,14 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 # least relative error of the expected intensity, with straight crests and where a field is
 # followed; displacement in pixels; share of a field's error that the mean over a group keeps
 # (pipelines/ripples/coherent.py).
-MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.25, 0.5, 16
+MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.15, 0.5, 16
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.12, 0.12, 0.15, 0.15, 0.3, 0.8), 0.015, 2
 # Error of the pulse's second harmonic where crests bend.
 FIELD_HARMONIC = 0.03
+# Steepest slope of a peaked profile over a sine's of the same height.
+PEAKED_SLOPE = 1.5
 # Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
 NOISE_BOUNDS = (0.5, 50.0)
@@ -161,6 +163,10 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     if law is not None:
         fixed[:2] = law
     rule = CREST if settings.shadow == "crest" else LINE_OF_SIGHT
+    # no slope within the prior, of a peaked profile too, is as steep as the lowest ray
+    slope = min(2 * np.pi * float(np.hypot(along, across)) * prior.bounds[1][1], 1.0)
+    if PEAKED_SLOPE * slope < float((data.altitude / data.ground_range).min()):
+        rule = 0
     (f_mean, h_mean), (f_sd, h_sd) = prior.mean, prior.sd
     return Geometry(
         along=along,

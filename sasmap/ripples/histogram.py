@@ -48,7 +48,7 @@ def range_edges(nearest: float, farthest: float) -> FloatArray:
     edges = [nearest]
     while edges[-1] < farthest:
         edges.append(edges[-1] + max(LEAST_BLOCK, BLOCK_SHARE * edges[-1]))
-    stretch = (farthest - nearest) / (edges[-1] - nearest)
+    stretch = (farthest - nearest) / max(edges[-1] - nearest, 1e-9)
     return (
         nearest + stretch * (np.array(edges) - nearest)
         if len(edges) > 1

@@ -292,33 +292,35 @@ def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_lit(elevation, growth, lit):  # type: ignore[no-untyped-def]
+def fill_lit(elevation, part_of_range, lit):  # type: ignore[no-untyped-def]
     """Share of each facet that the sonar sees: what stands out over all that is nearer.
 
-    `elevation` is height over the sonar of facets along the look; times a power of `growth` it
-    orders them by the angle at which they are seen. A wavelength before suffices. Edges of shadow
-    are told to a fraction of a facet.
+    `elevation` is height over the sonar (below 0) of a wavelength's facets along the look, each
+    `part_of_range` of the ground range apart. Seen from range r, a point D nearer hides one where it
+    is higher than the ray to it: h' - A > (h - A) (1 - D / r). A wavelength before suffices. Edges
+    of shadow are told to a fraction of a facet.
     """
     n = elevation.size
     lit[:] = 0.0
-    factor, highest, before, step_before = 1.0, -np.inf, -np.inf, 0.0
-    for k in range(2 * n + 1):
+    horizon, apart = elevation[0], 0
+    before, rise = 0.0, 0.0
+    for k in range(1, 2 * n + 1):
         i = k if k < n else (k - n if k < 2 * n else 0)
         last = i - 1 if i > 0 else n - 1
-        here = elevation[i] * factor
-        factor *= growth
-        step = here - before
-        if here > highest:
-            part = (here - highest) / step if k > 0 else 1.0
+        apart += 1
+        margin = elevation[i] * (1.0 - apart * part_of_range) - horizon
+        if margin > 0.0:
+            share = margin / (margin - before)
             if n <= k < 2 * n:
-                lit[i] = min(1.0, 0.5 + part)
-            if k > n and 0.5 < part < 1.0:
-                lit[last] += part - 0.5
-        elif k > n and step_before > 0.0 and before >= highest:
-            # the highest point lies within half a facet of the one before
-            lit[last] *= 0.5 + 0.5 * (step_before + step) / (step_before - step)
-        highest = max(highest, here)
-        before, step_before = here, step
+                lit[i] = min(1.0, 0.5 + share)
+            if k > n and 0.5 < share < 1.0:
+                lit[last] += share - 0.5
+            horizon, apart, before, rise = elevation[i], 0, 0.0, margin
+            continue
+        if k > n and apart == 1 and rise > 0.0:
+            # the highest point lies within half a facet of the horizon
+            lit[last] *= 0.5 + 0.5 * (rise + margin) / (rise - margin)
+        before = margin
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -336,9 +338,10 @@ def fill_crest_rule(  # type: ignore[no-untyped-def]
         margin = -1.0
         if gap > 0.0:
             margin = height * (1.0 - unit[i]) - altitude * distance / gap
-        step = abs(margin - before) if k > 0 else 1.0
-        if k < n:
-            lit[i] = min(max(0.5 - margin / max(step, 1e-12), 0.0), 1.0)
+        step = abs(margin - before) if k > 0 else 0.0
+        if k < n:  # the crest itself is not hidden
+            share = 0.5 - margin / max(step, 1e-12) if k > 0 else 1.0
+            lit[i] = min(max(share, 0.0), 1.0)
         before = margin
 
 
@@ -404,7 +407,7 @@ def fill_rendered(  # type: ignore[no-untyped-def]
     if shadow:
         for i in range(n):
             elevation[i] = heights[i] - tangent * ground_range
-        fill_lit(elevation, np.exp(-1.0 / (wave * n * ground_range)), lit)
+        fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
     for i in range(n):
         h = heights[i]
         # the ray's own grazing angle is less by h / range
@@ -417,7 +420,7 @@ def fill_rendered(  # type: ignore[no-untyped-def]
         power = areas[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
         if shadow:
             power *= lit[i]
-        # r' = sqrt(r^2 + (A - h)^2 - A^2) to second order
+        # the range r whose r' = sqrt(r^2 + (A - h)^2 - A^2) this is, to second order
         lean = h * tangent - h * h * (1.0 + tangent * tangent) / (2.0 * ground_range)
         deposit(pulse, (i + 0.5) / n - lean * wave, power)
 
@@ -444,7 +447,7 @@ def fill_published(  # type: ignore[no-untyped-def]
     elif shadow == LINE_OF_SIGHT:
         for i in range(n):
             elevation[i] = ripple.height * unit[i] - altitude
-        fill_lit(elevation, np.exp(-1.0 / (wave * n * ground_range)), lit)
+        fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
     grazing, tilt = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
     c = ripple.concentration
     flat = published_amplitude(grazing, c)
