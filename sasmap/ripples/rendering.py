@@ -296,9 +296,9 @@ def fill_lit(elevation, part_of_range, lit):  # type: ignore[no-untyped-def]
     """Share of each facet that the sonar sees: what stands out over all that is nearer.
 
     `elevation` is height over the sonar (below 0) of a wavelength's facets along the look, each
-    `part_of_range` of the ground range apart. Seen from range r, a point D nearer hides one where it
-    is higher than the ray to it: h' - A > (h - A) (1 - D / r). A wavelength before suffices. Edges
-    of shadow are told to a fraction of a facet.
+    `part_of_range` of the ground range apart. A point D nearer hides one at range r where it is
+    higher than the ray: h' - A > (h - A) (1 - D / r). A wavelength before suffices. Edges of shadow
+    are told to a fraction of a facet.
     """
     n = elevation.size
     lit[:] = 0.0
