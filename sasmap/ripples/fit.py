@@ -46,7 +46,7 @@ BoolArray = NDArray[np.bool_]
 # Expected standard deviation of a sonar's point spread, pixels.
 POINT_SPREAD = 0.5
 # Blur of the first climb over the expected one.
-COARSE, COARSE_ROUNDS = 5.0, 12
+COARSE, COARSE_ROUNDS = 3.0, 12
 # Rounds in which the trend is told anew, knowing the pulse, and rounds of the climb in each.
 TREND_ROUNDS, TREND_CLIMB = 2, 6
 # Errors of the model that the pixels of a group of range and one of so many parts of phase share:
@@ -142,7 +142,7 @@ def fitted(task: Task, phase: PhaseField, trend: FloatArray) -> Fit:
     geometry = clip_geometry(task, phase, data)
     # first as through a worse lens: edges of shadow make the likelihood rough
     coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
-    rough = distinct([climb(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 2)
+    rough = distinct([climb(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 3)
     starts = [p.z.copy() for p in rough]
     for z in starts:
         z[BLUR] = np.clip(z[BLUR] + np.log(COARSE) / BLUR_SD, -3.0, 3.0)  # the same blur
