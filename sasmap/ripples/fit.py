@@ -11,7 +11,7 @@ from scipy.fft import rfft2
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
-from sasmap.ripples.optimise import BLUR, Peak, climb, distinct, polished, scan
+from sasmap.ripples.optimise import COARSE_ROUNDS, Peak, climb, distinct, polished, search
 from sasmap.ripples.phase import (
     STRAIGHT,
     PhaseField,
@@ -28,7 +28,6 @@ from sasmap.ripples.phase import (
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendering import (
-    BLUR_SD,
     CREST,
     LAW_KNOTS,
     LINE_OF_SIGHT,
@@ -45,8 +44,6 @@ BoolArray = NDArray[np.bool_]
 
 # Expected standard deviation of a sonar's point spread, pixels.
 POINT_SPREAD = 0.5
-# Blur of the first climb over the expected one.
-COARSE, COARSE_ROUNDS = 3.0, 12
 # Rounds in which the trend is told anew, knowing the pulse, and rounds of the climb in each.
 TREND_ROUNDS, TREND_CLIMB = 2, 6
 # Errors of the model that the pixels of a group of range and one of so many parts of phase share:
@@ -140,13 +137,7 @@ def fitted(task: Task, phase: PhaseField, trend: FloatArray) -> Fit:
     """Sum a clip over phase and range and climb to the peaks of its posterior."""
     data = histogram(task.image, trend, phase)
     geometry = clip_geometry(task, phase, data)
-    # first as through a worse lens: edges of shadow make the likelihood rough
-    coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
-    rough = distinct([climb(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 3)
-    starts = [p.z.copy() for p in rough]
-    for z in starts:
-        z[BLUR] = np.clip(z[BLUR] + np.log(COARSE) / BLUR_SD, -3.0, 3.0)  # the same blur
-    peaks = distinct([climb(z, data, geometry, COARSE_ROUNDS) for z in starts], 2)
+    peaks = search(data, geometry)
     return Fit(phase, trend, data, geometry, peaks)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.rendering import (
+    BLUR_SD,
     Geometry,
     Histogram,
     contrast_per_slope,
@@ -33,6 +34,8 @@ LAWS, ASYMMETRIES = (-1.3, 0.3, 1.3), (-1.5, 0.0, 1.5)
 STEP, LONGEST = 1e-3, 1.5
 # Starts that are climbed from, rounds at most, and the gain at which a climb ends.
 STARTS, ROUNDS, ENOUGH = 5, 20, 0.02
+# Blur of the first climb over the expected one, and its rounds.
+COARSE, COARSE_ROUNDS = 3.0, 12
 # Generations, points and parents of a population that climbs on, and its spread over the peak's.
 GENERATIONS, CHILDREN, PARENTS, SPREAD = 10, 40, 10, 0.7
 # Least eigenvalue of the information's correlation matrix.
@@ -93,6 +96,29 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
         if best is not None:
             found.append((best_level, best))
     return [z for _, z in sorted(found, key=lambda f: -f[0])][:STARTS]
+
+
+def search(data: Histogram, geometry: Geometry) -> list[Peak]:
+    """Find the likeliest peaks: scan, climb as through a worse lens, then climb on.
+
+    Edges of shadow make the likelihood rough; a wider blur smooths it.
+
+    Parameters
+    ----------
+    data : Histogram
+    geometry : Geometry
+
+    Returns
+    -------
+    list of Peak
+        The likeliest first, at most two.
+    """
+    coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
+    rough = distinct([climb(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 3)
+    starts = [p.z.copy() for p in rough]
+    for z in starts:
+        z[BLUR] = np.clip(z[BLUR] + np.log(COARSE) / BLUR_SD, -3.0, 3.0)  # the same blur
+    return distinct([climb(z, data, geometry, COARSE_ROUNDS) for z in starts], 2)
 
 
 def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:

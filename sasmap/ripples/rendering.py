@@ -313,7 +313,9 @@ def fill_lit(elevation, part_of_range, lit):  # type: ignore[no-untyped-def]
             share = margin / (margin - before)
             if n <= k < 2 * n:
                 lit[i] = min(1.0, 0.5 + share)
-            if k > n and 0.5 < share < 1.0:
+            if k > n and apart == 2:  # shadow sets in, or is about to end, between two facets
+                lit[last] = share
+            elif k > n and 0.5 < share < 1.0:
                 lit[last] += share - 0.5
             horizon, apart, before, rise = elevation[i], 0, 0.0, margin
             continue

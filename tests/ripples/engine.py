@@ -90,7 +90,7 @@ def noiseless(truth, data, where):
 def pulses_of(truth, data, where):
     """Pulses (blocks, bins) and lags (blocks,)."""
     pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
-    fill_pulses(truth, data, where, pulses, lags)
+    fill_pulses(truth, data, where, pulses, lags, np.empty(len(lags)))
     return pulses, lags
 
 

@@ -12,7 +12,7 @@ from sasmap.ripples.optimise import (
     free_coordinates,
     polished,
     sampled_coordinates,
-    scan,
+    search,
 )
 from sasmap.ripples.rendering import (
     CONCENTRATION,
@@ -75,8 +75,7 @@ def test_coordinates_are_those_of_the_parameters():
 )
 def test_climb_finds_what_made_the_histogram(law, height, ranges):
     truth, data, where = scene(height, law, ranges, peakedness=0.06)
-    peaks = [climb(z, data, where) for z in scan(data, where)]
-    best = distinct(peaks, 2)[0]
+    best = climb(search(data, where)[0].z, data, where)
     best = polished(best, data, where, np.random.default_rng(0))
     at_truth = log_posterior(point_at(truth, where), data, where)
     assert best.level > at_truth - 1.0  # edges of shadow make the likelihood rough

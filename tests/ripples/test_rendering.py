@@ -62,9 +62,11 @@ def ray_traced(truth, along, ground_range, altitude, n=6000, before=3):
     u = (np.arange(-before * n, n) + 0.5) / n
     height = truth.height * crest_height(u, truth.peakedness, truth.asymmetry)
     slope = np.gradient(height, u / along)
-    # a wavelength that repeats itself farther out is seen under angles that shrink with range
-    rise = (height - altitude) * np.exp(-u / along / ground_range)
-    seen = rise >= np.maximum.accumulate(rise)
+    # of each point, seen from the ground range, whether one up to a wavelength nearer hides it
+    depth, apart = height - altitude, np.arange(n, 0, -1) / n / along
+    seen = np.ones(u.size, bool)
+    for i in range(u.size - n, u.size):
+        seen[i] = not (depth[i - n : i] > depth[i] * (1 - apart / ground_range)).any()
     theta = np.arctan2(altitude - height, ground_range)
     area = np.sqrt(1 + slope**2)
     sine = (np.sin(theta) + slope * np.cos(theta)) / area
@@ -172,13 +174,11 @@ def test_pulse_is_continuous_in_height(shape):
     peakedness, asymmetry = SHAPES[shape]
     where, data = geometry(0.6, 20.0, 5.0), empty(20.0, 5.0)
 
-    def largest_change(steps):
-        truth = ripple(0.05, peakedness=peakedness, asymmetry=asymmetry, blur=0.02)
-        heights = np.linspace(0.045, 0.075, steps)
-        pulses = [pulses_of(truth._replace(height=h), data, where)[0] for h in heights]
-        return np.abs(np.diff(pulses, axis=0)).max()
-
-    assert largest_change(8001) < 0.4 * largest_change(2001)
+    truth = ripple(0.05, peakedness=peakedness, asymmetry=asymmetry, blur=0.02)
+    heights = np.linspace(0.045, 0.075, 4001)
+    pulses = [pulses_of(truth._replace(height=h), data, where)[0] for h in heights]
+    # which facet is the horizon is told by its neighbour: from farther it may differ by this much
+    assert np.abs(np.diff(pulses, axis=0)).max() < 3e-3
 
 
 @pytest.mark.parametrize(("altitude", "distance"), [(5.0, 6.0), (5.0, 20.0), (8.0, 10.0)])
@@ -216,10 +216,12 @@ def test_published_model_is_the_literal_one(rule, distance):
     if rule == CREST:
         hidden = shadow_crest_rule(phase, distance, altitude, wave, height)
     elif rule == LINE_OF_SIGHT:
-        u = (np.arange(-3 * n, n) + 0.5) / (n * wave)
-        reach = distance * np.exp(u / distance)
-        floor = height * np.sin(2 * np.pi * wave * u)
-        hidden = shadow_line_of_sight(floor, reach, altitude)[-n:]
+        u = (np.arange(-n, 1) + 0.5) / (n * wave)
+        for i in range(n):  # each point seen from the same range
+            turn = (i - n) / (n * wave)
+            floor = height * np.sin(2 * np.pi * wave * (u + turn))
+            reach = distance + u - u[-1]
+            hidden[i] = shadow_line_of_sight(floor, reach, altitude)[-1]
     expected = np.where(hidden, 0.0, literal) * 2 * np.pi * (np.pi / 3)  # the Gaussian's factor
     edge = hidden != np.roll(hidden, 1)
     beside = edge | np.roll(edge, 1) | np.roll(edge, -1)
