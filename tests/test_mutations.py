@@ -66,7 +66,7 @@ def test_mutated_inputs_end_in_a_run_or_a_line(template, tmp_path, capfd, connec
         changed = mutate(folder, seed)
         start = time.monotonic()
         status = main(["run", str(folder / "survey.yaml"), "--quiet"])
-        assert time.monotonic() - start < 60, seed  # none may hang
+        assert time.monotonic() - start < 300, seed  # none may hang, compilation included
         said = capfd.readouterr()
         assert status in (0, 1, 2), seed
         assert "Traceback" not in said.err, seed
