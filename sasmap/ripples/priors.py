@@ -7,7 +7,6 @@ from typing import Self
 
 import numpy as np
 
-
 # Crest to trough over wavelength of natural ripples: 0.03 to 0.2, typically about 0.1 (vortex
 # ripples 0.1 to 0.2, worn ones less). Median and standard deviation of the log.
 NATURAL_STEEPNESS = (0.09, 0.7)
