@@ -1,7 +1,7 @@
 """Sand-ripple geometry and sediment maps, with error bars, from synthetic aperture sonar tiles."""
 
 from sasmap import ripples, sediments
-from sasmap.config import load_survey
+from sasmap.settings.survey import load_survey
 from sasmap.survey import open_pass
 from sasmap.version import VERSION
 

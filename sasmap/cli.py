@@ -10,10 +10,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from sasmap.config import load_survey, survey_schema
 from sasmap.errors import InputError
+from sasmap.run.wording import duration
+from sasmap.settings.survey import load_survey, survey_schema
 from sasmap.version import VERSION
-from sasmap.wording import duration
 
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -123,8 +123,8 @@ def _metres(text: str) -> float:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from sasmap.pipeline import run_survey  # the compiled code loads only where it is needed
-    from sasmap.reporting import summary_lines
+    from sasmap.run.pipeline import run_survey  # the compiled code loads only where it is needed
+    from sasmap.run.reporting import summary_lines
 
     _log(options.quiet)
     survey = load_survey(options.survey)
@@ -164,8 +164,8 @@ def _readable(line: str) -> str:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    from sasmap.estimates import check_fits, describe_cost
-    from sasmap.plan import describe, make_plan
+    from sasmap.run.cost import check_fits, describe_cost
+    from sasmap.run.plan import describe, make_plan
 
     _log(quiet=False)
     plan = make_plan(load_survey(options.survey))
@@ -185,7 +185,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _tiles(options: argparse.Namespace) -> int:
-    from sasmap.raw import make_tiles
+    from sasmap.survey.raw import make_tiles
 
     written, warnings = make_tiles(options.recording, options.output, options.crs, options.pixel)
     print(f"{len(written)} files in {options.output}; next: sasmap run {written[-1]}")

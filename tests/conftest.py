@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import sasmap
-from sasmap.pipeline import run_survey
+from sasmap.run.pipeline import run_survey
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data"
 

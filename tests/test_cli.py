@@ -53,7 +53,7 @@ def test_an_output_folder_that_cannot_be_made(tmp_path, capsys, taken):
 
 
 def test_nobody_answers_as_scheduler(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("sasmap.scheduling.CLUSTER_TIMEOUT", "1s")
+    monkeypatch.setattr("sasmap.run.scheduling.CLUSTER_TIMEOUT", "1s")
     path = small_survey(tmp_path)
     assert main(["run", str(path), "--quiet", "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no dask scheduler answers" in capsys.readouterr().err

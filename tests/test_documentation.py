@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from sasmap.reference import survey_reference
+from sasmap.settings.reference import survey_reference
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
-    "sasmap.config",
+    "sasmap.settings.survey",
     "sasmap.survey.opening",
     "sasmap.ripples.estimation",
     "sasmap.sediments.distributions",

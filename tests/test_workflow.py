@@ -16,10 +16,10 @@ from affine import Affine
 import sasmap
 from sasmap.cli import main
 from sasmap.errors import InputError
-from sasmap.lock import locked
-from sasmap.pipeline import run_survey
-from sasmap.plan import make_plan
-from sasmap.scheduling import check_workers
+from sasmap.run.lock import locked
+from sasmap.run.pipeline import run_survey
+from sasmap.run.plan import make_plan
+from sasmap.run.scheduling import check_workers
 from sasmap.survey.cells import Cell
 from sasmap.survey.opening import open_survey
 from sasmap.survey.passes import read_clip

@@ -20,8 +20,8 @@ import numpy as np
 from zare_cobb_tables import simulate_clip as table_clip
 
 from sasmap.ripples import Clip, Quality, RippleSettings, estimate
-from sasmap.ripples.chain import Chain, chained, next_prior
-from sasmap.ripples.passes import Summary, summarise
+from sasmap.ripples.fusion import FusedCell, fuse, next_prior
+from sasmap.ripples.summary import Summary, summarise
 from sasmap.simulate import Scene, simulate_clip
 
 TRUTH = (0.6, 0.07)
@@ -40,7 +40,7 @@ def table_run(seed: int, method: str) -> np.ndarray:
         clip = table_clip(near, far, *TRUTH, "crest", 2 * seed + k)
         prior = next_prior(summaries, settings)
         summaries.append(summarise(estimate(clip, settings, rng=2 * seed + k, prior=prior)))
-    known = chained(summaries, settings).posteriors
+    known = fuse(summaries, settings).posteriors
     return np.array(
         [[*np.subtract(k.mean, TRUTH), *np.subtract(k.q95, k.q05)] for k in known], float
     )
@@ -118,7 +118,7 @@ def cell(seed: int) -> Cell:
 def headings(cells: list[Cell]) -> None:
     """Print how knowledge grows over four passes, coverage and the effect of order."""
     settings = RippleSettings()
-    chains = [chained(c.summaries, settings) for c in cells]
+    chains = [fuse(c.summaries, settings) for c in cells]
     honest = [c.quality == Quality.CONTRADICTION for c in chains]
     print(f"four headings, {len(cells)} cells: rms error of f (%), A_H (%), azimuth (degrees)")
     for k in range(len(HEADINGS)):
@@ -146,7 +146,7 @@ def headings(cells: list[Cell]) -> None:
     for c in cells:
         if c.other.quality is Quality.GOOD:
             mixed: list[Summary | None] = [c.summaries[0], c.other, *c.summaries[2:]]
-            flagged.append(chained(mixed, settings).qualities[1] is Quality.CONTRADICTION)
+            flagged.append(fuse(mixed, settings).qualities[1] is Quality.CONTRADICTION)
     print(f"  passes of another sea floor (f 20 % off) flagged: {100 * np.mean(flagged):.1f} %")
 
 
@@ -157,20 +157,20 @@ def _errors(truth: tuple[float, float, float], known: object) -> tuple[float, fl
 
 def _shift(c: Cell, settings: RippleSettings) -> float:
     """Largest move of a mean, in posterior sd, over all orders."""
-    finals = [chained(list(order), settings).final for order in permutations(c.summaries)]
+    finals = [fuse(list(order), settings).final for order in permutations(c.summaries)]
     means = np.array([f.mean for f in finals])
     return float(np.nan_to_num(np.ptp(means, axis=0) / np.array(finals[0].sd)).max())
 
 
-def rescue_run(seed: int) -> list[Chain]:
-    """Chain a near pass without shadow and a far one with some, in both orders."""
+def rescue_run(seed: int) -> list[FusedCell]:
+    """FusedCell a near pass without shadow and a far one with some, in both orders."""
     settings = RippleSettings(shadow="crest")
     clips: list[Clip] = [
         table_clip(near, far, *TRUTH, "crest", 1000 + 2 * seed + i)
         for i, (near, far) in enumerate(((1.2, 13.4), (24.4, 36.6)))
     ]
     near, far = (summarise(estimate(c, settings, rng=seed)) for c in clips)
-    return [chained(looks, settings) for looks in ([near, far], [far, near])]
+    return [fuse(looks, settings) for looks in ([near, far], [far, near])]
 
 
 def rescue(runs: int, pool: ProcessPoolExecutor) -> None:

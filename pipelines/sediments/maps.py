@@ -36,7 +36,7 @@ from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import refine_map, traced
 from sasmap.sediments.nodes import refine_boundary
 from sasmap.sediments.segmentation import find_classes
-from sasmap.sediments.trends import Look
+from sasmap.sediments.trends import AmplitudeGrid
 
 LEVELS, NUS = (1.0, 2.2, 0.4, 4.5, 1.1), (50.0, 4.0, 20.0, 1.0, 1.0)
 WEAK = (1.0, 1.75, 3.1)
@@ -77,7 +77,7 @@ def classes_of(seed: int, count: int, size: int = 384) -> tuple[int, float, floa
     for k in range(2):
         amplitude = textured(truth, LEVELS, NUS, rng)
         reach = 20 + 0.05 * x if k == 0 else 45 - 0.05 * x
-        looks.append(Look((1.0, 1.7)[k] * amplitude * (reach / 30) ** -0.4, reach))
+        looks.append(AmplitudeGrid((1.0, 1.7)[k] * amplitude * (reach / 30) ** -0.4, reach))
     start = time.perf_counter()
     found = find_classes(looks)
     label = class_map(log_likelihoods(looks, found)).label
@@ -159,7 +159,7 @@ def boundaries_of(seed: int, kind: str) -> dict[str, tuple[float, float]]:
     tree = edges_of(truth)
     amplitude = textured(truth, WEAK, (50.0,) * 3, rng)
     reach = 20 + 0.05 * np.broadcast_to(np.arange(truth.shape[1]), truth.shape)
-    looks = [Look(amplitude, reach)]
+    looks = [AmplitudeGrid(amplitude, reach)]
     start = time.perf_counter()
     likelihood = log_likelihoods(looks, find_classes(looks))
     found = class_map(likelihood)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import mpmath
 import numpy as np
 
-from sasmap.gaussians import Mixture, log_densities
+from sasmap.numerics.gaussians import Mixture, log_densities
 from sasmap.ripples import Prior, RippleSettings, estimate
 from sasmap.ripples.diagnostics import ess_bulk, rhat
 from sasmap.ripples.mixture import product

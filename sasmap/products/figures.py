@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from sasmap.products.colours import RAMPS, Colour
-from sasmap.ripples.chain import Chain
+from sasmap.ripples.fusion import FusedCell
 from sasmap.sediments.fitting import Law
 
 # Pixels a side, at most, of the rasters in a picture.
@@ -146,7 +146,7 @@ def cell_figure(
     clip: xr.DataArray,
     model: NDArray[Any] | None,
     draws: xr.Dataset,
-    chain: Chain,
+    chain: FusedCell,
     looks: Sequence[str],
 ) -> str:
     """Draw a cell: clip beside model, traces, posterior, growth over passes.
@@ -157,7 +157,7 @@ def cell_figure(
     model : ndarray (rows, columns) or None
     draws : Dataset (chain, draw)
         With ``frequency`` and ``height``; empty where nothing was sampled.
-    chain : Chain
+    chain : FusedCell
     looks : sequence of str
 
     Returns
@@ -201,7 +201,7 @@ def _plain(axes: Axes, x: str, y: str, title: str) -> None:
     axes.ticklabel_format(useOffset=False)
 
 
-def _growth(axes: Axes, chain: Chain, looks: Sequence[str]) -> None:
+def _growth(axes: Axes, chain: FusedCell, looks: Sequence[str]) -> None:
     """Intervals of f and A_H after each pass, over the last mean."""
     final = chain.final.mean
     for i, (name, colour) in enumerate((("f", "#0072b2"), ("A_H", "#d55e00"))):

@@ -11,8 +11,8 @@ import numpy as np
 import pyproj
 import rasterio
 
+from sasmap.io.files import write_text
 from sasmap.products.colours import PASSES, RAMPS, Colour, Ramp, class_colour, hexadecimal, stops
-from sasmap.products.files import write_text
 from sasmap.ripples.posterior import Quality
 
 VERSION = "3.22"

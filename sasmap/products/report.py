@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from sasmap.products.files import write_text
+from sasmap.io.files import write_text
 
 
 def write_report(path: Path, content: Mapping[str, Any], scratch: Path) -> Path:

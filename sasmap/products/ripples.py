@@ -13,12 +13,12 @@ import xarray as xr
 from affine import Affine
 from numpy.typing import NDArray
 
+from sasmap.io.files import written_whole
+from sasmap.io.rasters import Category, Layer, as_bands, float_layer, write_cog
 from sasmap.products.colours import QUALITY_COLOURS
-from sasmap.products.files import written_whole
-from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
-from sasmap.ripples.chain import Chain
-from sasmap.ripples.passes import Summary
+from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
+from sasmap.ripples.summary import Summary
 
 STATISTICS = ("mean", "sd", "q05", "q95")
 # Of f, A_H and the azimuth.
@@ -39,13 +39,13 @@ SINGLE_UNITS = {
 }
 
 Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
-Chains = Mapping[tuple[int, int], Chain]
+FusedCells = Mapping[tuple[int, int], FusedCell]
 
 
 def write_ripple_rasters(
     folder: Path,
     cells: Cells,
-    chains: Chains,
+    chains: FusedCells,
     looks: Sequence[str],
     shape: tuple[int, int],
     transform: Affine,
@@ -60,7 +60,7 @@ def write_ripple_rasters(
     folder : Path
     cells : mapping of (row, column) to sequence of Summary or None
         A summary for each look, None where the look does not show the cell.
-    chains : mapping of (row, column) to Chain
+    chains : mapping of (row, column) to FusedCell
     looks : sequence of str
         Name of the pass that each look belongs to.
     shape : tuple of int
@@ -112,7 +112,7 @@ def write_ripple_rasters(
     return written
 
 
-def cell_probability(summaries: Sequence[Summary | None], chain: Chain) -> float:
+def cell_probability(summaries: Sequence[Summary | None], chain: FusedCell) -> float:
     """Probability that a cell is rippled: the largest of the looks that stand for it, or of all."""
     group = [summaries[k] for k in chain.group] or summaries
     known = [s.probability for s in group if s is not None and np.isfinite(s.probability)]
@@ -122,7 +122,7 @@ def cell_probability(summaries: Sequence[Summary | None], chain: Chain) -> float
 def write_ripples_netcdf(
     path: Path,
     cells: Cells,
-    chains: Chains,
+    chains: FusedCells,
     looks: Sequence[str],
     shape: tuple[int, int],
     transform: Affine,
@@ -136,7 +136,7 @@ def write_ripples_netcdf(
     ----------
     path : Path
     cells : mapping of (row, column) to sequence of Summary or None
-    chains : mapping of (row, column) to Chain
+    chains : mapping of (row, column) to FusedCell
     looks : sequence of str
         Labels, one a look.
     shape : tuple of int
@@ -177,11 +177,11 @@ _DIMS = ("pass", "y", "x")
 _PARAMETERS = (("frequency", "cycles/m"), ("height", "m"))
 
 
-def _known_fields(cells: Cells, chains: Chains, shape: tuple[int, ...]) -> dict[str, Any]:
+def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> dict[str, Any]:
     """Collect what is known of each cell before and after each look, and by it alone."""
     variables: dict[str, Any] = {}
     sources: tuple[tuple[str, str, Any], ...] = (
-        ("", "after this pass, all so far chained", lambda c, k: chains[c].posteriors[k]),
+        ("", "after this pass, all so far combined", lambda c, k: chains[c].posteriors[k]),
         ("prior_", "before this pass", lambda c, k: chains[c].priors[k]),
         ("alone_", "by this pass alone", lambda c, k: cells[c][k]),
     )
@@ -201,7 +201,7 @@ def _known_fields(cells: Cells, chains: Chains, shape: tuple[int, ...]) -> dict[
     return {**variables, **_verdicts(chains, shape)}
 
 
-def _verdicts(chains: Chains, shape: tuple[int, ...]) -> dict[str, Any]:
+def _verdicts(chains: FusedCells, shape: tuple[int, ...]) -> dict[str, Any]:
     """Collect the quality of each look and whether it stands for its cell."""
     quality, used = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
     for cell, chain in chains.items():

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from affine import Affine
 
+from sasmap.io.geopackage import Feature, write_boundaries
+from sasmap.io.rasters import Category, Layer, float_layer, write_large_cog
 from sasmap.products.colours import class_colour
-from sasmap.products.geopackage import Feature, write_boundaries
-from sasmap.products.rasters import Category, Layer, float_layer, write_large_cog
 from sasmap.sediments.mapping import Line
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pyproj
 
-from sasmap.products.files import write_text
+from sasmap.io.files import write_text
 
 MEDIA = {
     ".tif": "image/tiff; application=geotiff; profile=cloud-optimized",

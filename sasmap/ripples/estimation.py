@@ -216,13 +216,13 @@ def _sampled(
     peaks = [p for p in fit.peaks if p.level > best - NEGLIGIBLE]
     keep = np.ix_(*[np.isin(free, sampled)] * 2)
     proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks])
-    members, proposal = population(log_density, proposal, rng)
-    states = members[rng.permutation(len(members))[: settings.chains]]
-    first = metropolis_hastings(log_density, proposal, members, states, ROUND, rng)
+    particles, proposal = population(log_density, proposal, rng)
+    states = particles[rng.permutation(len(particles))[: settings.chains]]
+    first = metropolis_hastings(log_density, proposal, particles, states, ROUND, rng)
     if first.accepted < LEARNED:  # it was burn-in: the proposal is learned anew from it
         seen = first.draws[:, ROUND // 4 :].reshape(-1, sampled.size)
-        members = seen[rng.permutation(len(seen))]
-        proposal = fit_proposal(members, len(members) * INDEPENDENT)
+        particles = seen[rng.permutation(len(seen))]
+        proposal = fit_proposal(particles, len(particles) * INDEPENDENT)
 
     def told(draws: FloatArray) -> bool:
         points = whole(draws)
@@ -233,7 +233,7 @@ def _sampled(
     states, accepted, kept, done = first.draws[:, -1], 0.0, 0, False
     while kept < settings.draws and not done:
         steps = min(max(ROUND, kept // 2), settings.draws - kept)
-        chains = metropolis_hastings(log_density, proposal, members, states, steps, rng)
+        chains = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
         states = chains.draws[:, -1]
         accepted += chains.accepted * steps
         kept += steps

@@ -6,12 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft2
 
+from sasmap.numerics.looks import noise_factor
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
-from sasmap.ripples.optimise import COARSE_ROUNDS, Peak, climb, distinct, polished, search
+from sasmap.ripples.optimise import (
+    COARSE_ROUNDS,
+    Peak,
+    cross_entropy,
+    distinct,
+    fisher_scoring,
+    search,
+)
 from sasmap.ripples.phase import (
     STRAIGHT,
     PhaseField,
@@ -44,7 +51,7 @@ BoolArray = NDArray[np.bool_]
 
 # Expected standard deviation of a sonar's point spread, pixels.
 POINT_SPREAD = 0.5
-# Rounds in which the trend is told anew, knowing the pulse, and rounds of the climb in each.
+# Rounds in which the trend is told anew, knowing the pulse, and of Fisher scoring in each.
 TREND_ROUNDS, TREND_CLIMB = 2, 6
 # Errors of the model that the pixels of a group of range and one of so many parts of phase share:
 # least relative error of the expected intensity, with straight crests and where a field is
@@ -60,10 +67,6 @@ FIELD_HARMONIC = 0.03
 PEAKED_SLOPE = 1.5
 # Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
-NOISE_BOUNDS = (0.5, 50.0)
-EULER = 0.5772156649015329
-# Cosine of the angle to the wave beyond which the residual is speckle alone.
-BESIDE = 0.8
 
 
 class Fit(NamedTuple):
@@ -204,7 +207,7 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def refined(task: Task, fit: Fit) -> Fit:
-    """Take off the trend that the fit leaves, temper the likelihood by the speckle, and climb on.
+    """Take off the trend that the fit leaves, temper it by the speckle, and go on.
 
     The first trend is told without knowing the pulse and takes up a part of it at a clip's edges.
     """
@@ -225,7 +228,7 @@ def refined(task: Task, fit: Fit) -> Fit:
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
-    factor = noise_factor(image, phase.wave, ratio)
+    factor = noise_factor(ratio, image.per_pixel(phase.wave))
     fit = fit._replace(noise_factor=factor, explained=explained(fit))
     whole = fit.data
     for _ in range(ERROR_ROUNDS):
@@ -236,7 +239,7 @@ def refined(task: Task, fit: Fit) -> Fit:
         fit = fit._replace(data=data)
         fit = climbed(fit, with_errors(fit), fit.geometry, COARSE_ROUNDS)
     rng = np.random.default_rng(0)  # where the peak lies is no matter of chance
-    peaks = [polished(p, fit.data, fit.geometry, rng) for p in fit.peaks]
+    peaks = [cross_entropy(p, fit.data, fit.geometry, rng) for p in fit.peaks]
     return fit._replace(peaks=distinct(peaks, 2))
 
 
@@ -338,46 +341,5 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
 
 def climbed(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:
     """Climb on from a fit's peaks on another histogram or geometry."""
-    peaks = distinct([climb(p.z, data, geometry, rounds) for p in fit.peaks], 2)
+    peaks = distinct([fisher_scoring(p.z, data, geometry, rounds) for p in fit.peaks], 2)
     return fit._replace(data=data, geometry=geometry, peaks=peaks)
-
-
-def noise_factor(image: Image, wave: FloatArray, ratio: FloatArray) -> float:
-    """Variance of the speckle around the ripple's wave number over that of independent speckle.
-
-    Correlated pixels and texture raise the spectrum of the residual there; averaging of looks
-    lowers it. A geometric mean over the ring about the wave number, other lines left out by it.
-
-    Parameters
-    ----------
-    image : Image
-    wave : ndarray (2,)
-        (east, north), cycles/m.
-    ratio : ndarray (rows, columns)
-        Of :func:`residual`.
-
-    Returns
-    -------
-    float
-    """
-    used = ratio > 0
-    count = int(used.sum())
-    mean = ratio[used].mean()
-    flat = np.where(used, np.minimum(ratio / mean, 12.0) - 1.0, 0.0)
-    power = np.abs(rfft2(flat)) ** 2 / count
-    per_column, per_row = image.per_pixel(wave)
-    radius = np.hypot(np.fft.rfftfreq(image.shape[1]), np.fft.fftfreq(image.shape[0])[:, None])
-    number = np.hypot(per_column, per_row)
-    # beside the wave's own direction, where a misfit of the model has its power
-    along = (
-        np.fft.rfftfreq(image.shape[1]) * per_column
-        + np.fft.fftfreq(image.shape[0])[:, None] * per_row
-    )
-    beside = np.abs(along) < BESIDE * number * radius
-    ring = (radius > 0.6 * number) & (radius < 1.6 * number) & beside
-    if ring.sum() < 20:
-        return 1.0
-    level = float(np.log(power[ring] + 1e-12).mean() + EULER)
-    if abs(level) < 2 * np.pi / np.sqrt(6 * ring.sum()):  # two standard deviations
-        return 1.0
-    return float(np.clip(np.exp(level), *NOISE_BOUNDS))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr
 
-from sasmap.gaussians import Mixture, expectation_maximisation, log_densities
+from sasmap.numerics.gaussians import Mixture, expectation_maximisation, log_densities
 
 FloatArray = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ LEAST_SLOPE, HEIGHTS = 0.01, 16
 LAWS, ASYMMETRIES = (-1.3, 0.3, 1.3), (-1.5, 0.0, 1.5)
 # Steps by which derivatives are taken, in sampling coordinates, and largest steps of the scoring.
 STEP, LONGEST = 1e-3, 1.5
-# Starts that are climbed from, rounds at most, and the gain at which a climb ends.
+# Starts that are climbed from, rounds at most, and the gain at which Fisher scoring ends.
 STARTS, ROUNDS, ENOUGH = 5, 20, 0.02
 # Blur of the first climb over the expected one, and its rounds.
 COARSE, COARSE_ROUNDS = 3.0, 12
@@ -68,22 +68,22 @@ def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
 
 
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
-    """Which of them are sampled: noise's slope and blur stay where the climb leaves them."""
+    """Which of them are sampled: noise's slope and blur stay where Fisher scoring leaves them."""
     free = free_coordinates(geometry)
     return np.asarray(free[(free != NOISE_SLOPE) & (free != BLUR)])
 
 
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
-    """Find starts for :func:`climb`: the best height for each of a few laws and asymmetries."""
+    """Find starts: the best height for each of a few laws and asymmetries."""
     tangent = geometry.altitude_middle / geometry.range_middle
     wave = np.hypot(geometry.along, geometry.across)
     slopes = np.geomspace(LEAST_SLOPE, 0.95, HEIGHTS)
     found = []
     laws = LAWS if np.isnan(geometry.fixed[0]) else (0.0,)
     tilts = ASYMMETRIES if np.isnan(geometry.fixed[3]) else (0.0,)
-    for law, tilt in product(laws, tilts):
+    for law, incidence_angle in product(laws, tilts):
         z = np.zeros(COORDINATES)
-        z[LAW], z[ASYMMETRY] = law, tilt
+        z[LAW], z[ASYMMETRY] = law, incidence_angle
         best, best_level = None, -np.inf
         for height in slopes / (2 * np.pi * wave):
             ripple = parameters_at(z, geometry)
@@ -99,7 +99,7 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
 
 
 def search(data: Histogram, geometry: Geometry) -> list[Peak]:
-    """Find the likeliest peaks: scan, climb as through a worse lens, then climb on.
+    """Find the likeliest peaks: scan, then Fisher scoring, first through a worse lens.
 
     Edges of shadow make the likelihood rough; a wider blur smooths it.
 
@@ -114,11 +114,13 @@ def search(data: Histogram, geometry: Geometry) -> list[Peak]:
         The likeliest first, at most two.
     """
     coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
-    rough = distinct([climb(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 3)
+    rough = distinct(
+        [fisher_scoring(z, data, coarse, COARSE_ROUNDS) for z in scan(data, coarse)], 3
+    )
     starts = [p.z.copy() for p in rough]
     for z in starts:
         z[BLUR] = np.clip(z[BLUR] + np.log(COARSE) / BLUR_SD, -3.0, 3.0)  # the same blur
-    return distinct([climb(z, data, geometry, COARSE_ROUNDS) for z in starts], 2)
+    return distinct([fisher_scoring(z, data, geometry, COARSE_ROUNDS) for z in starts], 2)
 
 
 def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
@@ -136,7 +138,9 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     return np.array([slope / (2 * np.pi), phase])
 
 
-def climb(start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = ROUNDS) -> Peak:
+def fisher_scoring(
+    start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = ROUNDS
+) -> Peak:
     """Climb to the nearest maximum of the posterior by damped Fisher scoring.
 
     Parameters
@@ -195,7 +199,9 @@ def covariance_of(information: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (inverse + inverse.T) * scale[:, None] * scale)
 
 
-def polished(peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Generator) -> Peak:
+def cross_entropy(
+    peak: Peak, data: Histogram, geometry: Geometry, rng: np.random.Generator
+) -> Peak:
     """Climb on by populations: edges of shadow make the likelihood rough on a small scale.
 
     Each generation is drawn about the mean of the best of the last one (the cross-entropy method:

@@ -402,7 +402,7 @@ def covered_boxes(image: Image, boxes: Boxes) -> tuple[BoolArray, float]:
         box_sums(np.nan_to_num(v), image.valid, 0.0, 0.0, size)[0].real
         for v in (image.ground_range, image.altitude)
     )
-    tilt = np.arctan2(reach, np.maximum(altitude, 1e-9))
+    incidence_angle = np.arctan2(reach, np.maximum(altitude, 1e-9))
     everywhere = filled, 1.0
     for sd in (0.8, 1.3, 2.0):
         smooth = _Smoother(filled.shape, sd * boxes.wavelength)
@@ -410,9 +410,9 @@ def covered_boxes(image: Image, boxes: Boxes) -> tuple[BoolArray, float]:
         noise = boxes.variance / (4 * np.pi * (sd * boxes.wavelength * size) ** 2)
         noise = noise * boxes.count.max() / count
         local = np.maximum(np.abs(smooth(boxes.turned) / count) ** 2 - noise, 0)
-        level = np.sqrt(local) / np.maximum(tilt, 0.05)
+        level = np.sqrt(local) / np.maximum(incidence_angle, 0.05)
         high = float(np.quantile(level[filled], 0.85))
-        error = float(np.median((np.sqrt(noise) / np.maximum(tilt, 0.05))[filled]))
+        error = float(np.median((np.sqrt(noise) / np.maximum(incidence_angle, 0.05))[filled]))
         if error > 0.2 * high:
             continue
         rippled = filled & (level > BARE * high)

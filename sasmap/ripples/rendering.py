@@ -450,10 +450,12 @@ def fill_published(  # type: ignore[no-untyped-def]
         for i in range(n):
             elevation[i] = ripple.height * unit[i] - altitude
         fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
-    grazing, tilt = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
+    grazing, incidence_angle = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
     c = ripple.concentration
     flat = published_amplitude(grazing, c)
-    span = published_amplitude(grazing + tilt, c) - published_amplitude(grazing - tilt, c)
+    span = published_amplitude(grazing + incidence_angle, c) - published_amplitude(
+        grazing - incidence_angle, c
+    )
     for i in range(n):
         amplitude = max(flat + 0.5 * span * derivative[i], 0.0)
         deposit(pulse, (i + 0.5) / n, lit[i] * amplitude * amplitude)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from sasmap.gaussians import Mixture, expectation_maximisation
+from sasmap.numerics.gaussians import Mixture, expectation_maximisation
 
 FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
@@ -26,7 +26,7 @@ STUDENT = 8.0
 WIDENED = 1.04
 # Most components, and the least variance of one over that of the whole population.
 COMPONENTS, FLOOR = 5, 1e-3
-# Local steps over the difference of two members, times the root of twice the dimension.
+# Local steps over the difference of two particles, times the root of twice the dimension.
 LOCAL_STEP = 1.7
 # Points of a round in which a proposal is learned, and rounds at most; effective points a dimension
 # to which weights are flattened on the way, and with which it ends.
@@ -97,14 +97,14 @@ class Chains(NamedTuple):
 def metropolis_hastings(
     log_density: LogDensity,
     proposal: Proposal,
-    members: FloatArray,
+    particles: FloatArray,
     starts: FloatArray,
     steps: int,
     rng: np.random.Generator,
 ) -> Chains:
     """Run chains that propose anew and step locally, by turns.
 
-    The local steps are differences of two members of a population (ter Braak and Vrugt 2008); they
+    The local steps are differences of two particles (ter Braak and Vrugt 2008); they
     lead out of places that the proposal makes too little of.
 
     Parameters
@@ -112,7 +112,7 @@ def metropolis_hastings(
     log_density : callable
         Points (n, size) to log densities (n,), up to a constant.
     proposal : Proposal
-    members : ndarray (n, size)
+    particles : ndarray (n, size)
         The frozen population of the local steps.
     starts : ndarray (chains, size)
         Of finite log density.
@@ -128,8 +128,8 @@ def metropolis_hastings(
     levels = log_density(points)
     weights = (levels - proposal.log_density(points)).reshape(steps, chains)
     points, levels = points.reshape(steps, chains, size), levels.reshape(steps, chains)
-    pairs = rng.integers(len(members), size=(2, steps, chains))
-    jumps = LOCAL_STEP / np.sqrt(2 * size) * (members[pairs[0]] - members[pairs[1]])
+    pairs = rng.integers(len(particles), size=(2, steps, chains))
+    jumps = LOCAL_STEP / np.sqrt(2 * size) * (particles[pairs[0]] - particles[pairs[1]])
     chance = np.log(rng.random((2, steps, chains)))
     draws = np.empty((chains, steps, size))
     accepted = 0

@@ -1,11 +1,11 @@
 """Sediments by the statistics of their amplitude."""
 
+from sasmap.numerics.looks import effective_samples
 from sasmap.sediments.distributions import generalized_k, k_distribution
 from sasmap.sediments.fitting import (
     Choice,
     Law,
     choose,
-    effective_samples,
     fit,
     grey_histogram,
     histogram,

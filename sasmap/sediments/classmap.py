@@ -12,7 +12,7 @@ from scipy.ndimage import label as measure_label
 
 from sasmap.sediments.field import mean_field, table_sums, window_sums
 from sasmap.sediments.segmentation import Classes
-from sasmap.sediments.trends import Look
+from sasmap.sediments.trends import AmplitudeGrid
 
 GRID = 1024
 # Potts field: pixels of its window, and its strength in nats where all neighbours agree.
@@ -22,14 +22,14 @@ FIRST_WINDOW = 13
 SMALLEST = 300
 
 
-def log_likelihoods(looks: Sequence[Look], classes: Classes) -> NDArray[np.float32]:
+def log_likelihoods(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.float32]:
     """Log likelihood of each class at each pixel, all looks together.
 
     And after them, where the survey has any, of what is no sediment.
 
     Parameters
     ----------
-    looks : sequence of Look
+    looks : sequence of AmplitudeGrid
     classes : Classes
 
     Returns

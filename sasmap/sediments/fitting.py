@@ -14,12 +14,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
-from scipy.fft import irfft2, next_fast_len, rfft2
 
 from sasmap.sediments import likelihood as ml
-from sasmap.sediments.distributions import NODES as NODES16
-from sasmap.sediments.distributions import WEIGHTS as WEIGHTS16
-from sasmap.sediments.distributions import generalized_k, k_distribution
+from sasmap.sediments.densities import NODES as NODES16
+from sasmap.sediments.densities import WEIGHTS as WEIGHTS16
 
 FloatArray = NDArray[np.float64]
 Family = Literal["rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k"]
@@ -116,20 +114,6 @@ class Law:
         """Log shape (0 without one), log(1 + kappa^2) and log mean square (3,)."""
         shape = np.log(self.shape) if np.isfinite(self.shape) else 0.0
         return np.array([shape, np.log1p(self.kappa**2), np.log(self.mean_square)])
-
-    @property
-    def frozen(self) -> stats.rv_continuous:
-        """The law as a frozen distribution of scipy.stats."""
-        root = np.sqrt(0.5)
-        made = {
-            "rayleigh": lambda: stats.rayleigh(scale=root * self.scale),
-            "k": lambda: k_distribution(self.shape, scale=self.scale),
-            "rice": lambda: stats.rice(self.kappa / root, scale=root * self.scale),
-            "weibull": lambda: stats.weibull_min(self.shape, scale=self.scale),
-            "lognormal": lambda: stats.lognorm(self.shape, scale=self.scale),
-            "generalized_k": lambda: generalized_k(self.shape, self.kappa, scale=self.scale),
-        }
-        return made[self.family]()
 
     def log_density(self, x: ArrayLike) -> FloatArray:
         """Log density at amplitudes above 0, fast.
@@ -440,35 +424,3 @@ def _first_best(laws: Sequence[Law]) -> Law:
 def _criterion(law: Law) -> float:
     parameters = sum(FREE[law.family])
     return law.log_likelihood - 0.5 * parameters * float(np.log(max(law.samples, 2.0)))
-
-
-def effective_samples(amplitude: ArrayLike) -> float:
-    """Independent samples that an image of correlated speckle is worth.
-
-    Parameters
-    ----------
-    amplitude : array_like (rows, columns)
-        NaN where there is none.
-
-    Returns
-    -------
-    float
-        Pixels over the sum of the intensity's autocorrelation, as far as that stands out of chance.
-    """
-    image = np.asarray(amplitude, float)
-    known = np.isfinite(image)
-    power = np.where(known, image, 0.0) ** 2
-    count = float(known.sum())
-    if count < 4 or not power.max() > 0:
-        return count
-    flat = np.where(known, power - power.sum() / count, 0.0)
-    shape = [next_fast_len(2 * n) for n in image.shape]
-    product = irfft2(np.abs(rfft2(flat, shape)) ** 2, shape)
-    pairs = irfft2(np.abs(rfft2(known.astype(float), shape)) ** 2, shape)
-    reach = max(min(min(image.shape) // 4, 16), 1)
-    rows, columns = np.arange(-reach, reach + 1), np.arange(-reach, reach + 1)
-    near = np.ix_(rows % shape[0], columns % shape[1])
-    correlation = product[near] / np.maximum(pairs[near], 1.0) / max(product[0, 0] / count, 1e-300)
-    chance = 3 / np.sqrt(np.maximum(pairs[near], 1.0))
-    total = float(correlation[correlation > chance].sum())
-    return count / max(total, 1.0)

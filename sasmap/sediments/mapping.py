@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
+from sasmap.numerics.threads import mapped
 from sasmap.sediments.nodes import Boundary, normals, refine_boundary
-from sasmap.threads import mapped
 
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.uint8]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from sasmap.sediments import likelihood as ml
-from sasmap.sediments.distributions import Table, even_moment
+from sasmap.sediments.densities import Table, even_moment
 from sasmap.sediments.fitting import (
     FAMILIES,
     FREE,

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, uniform_filter
 
-from sasmap.gaussians import expectation_maximisation
-from sasmap.sediments.fitting import Law, choose, effective_samples
+from sasmap.numerics.gaussians import expectation_maximisation
+from sasmap.numerics.looks import effective_samples
+from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.trends import (
     BLOCK,
+    AmplitudeGrid,
     Blocks,
-    Look,
     block_statistics,
     first_trends,
     log_cotangent,
@@ -91,12 +92,12 @@ class Classes:
         return trend_of(self.trends[look], t)
 
 
-def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
+def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Classes:
     """Find the classes of a survey.
 
     Parameters
     ----------
-    looks : sequence of Look
+    looks : sequence of AmplitudeGrid
         On one lattice.
     count : int, optional
         How many; found where not given.
@@ -131,12 +132,12 @@ def find_classes(looks: Sequence[Look], count: int | None = None) -> Classes:
     return Classes(tuple(laws[i] for i in order), trends, centre, factor, none)
 
 
-def train_classes(looks: Sequence[Look], marks: NDArray[np.uint8], count: int) -> Classes:
+def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], count: int) -> Classes:
     """Learn classes from pixels at which they are known.
 
     Parameters
     ----------
-    looks : sequence of Look
+    looks : sequence of AmplitudeGrid
         On one lattice.
     marks : ndarray of uint8 (rows, columns)
         1 for the first class, 0 where none is known.
@@ -182,12 +183,12 @@ def _marked_blocks(marks: NDArray[np.uint8], count: int) -> NDArray[np.int64]:
     return np.where(share.max(axis=0) >= MARKED, np.argmax(share, axis=0), -1)
 
 
-def carry_over(looks: Sequence[Look], laws: Sequence[Law], centre: float) -> Classes:
+def carry_over(looks: Sequence[AmplitudeGrid], laws: Sequence[Law], centre: float) -> Classes:
     """Take another survey's classes: find each look's gain and range trend under them.
 
     Parameters
     ----------
-    looks : sequence of Look
+    looks : sequence of AmplitudeGrid
         On one lattice.
     laws : sequence of Law
     centre : float
@@ -247,7 +248,7 @@ def _assigned(
     return np.where(seen, np.argmax(total, axis=0), -1), float(total.max(axis=0)[seen].sum())
 
 
-def _centre(looks: Sequence[Look]) -> float:
+def _centre(looks: Sequence[AmplitudeGrid]) -> float:
     seen = [log_cotangent(v[np.isfinite(v)]) for v in (look.cotangent for look in looks)]
     known = [float(v.mean()) for v in seen if v.size]
     if not known:
@@ -255,7 +256,7 @@ def _centre(looks: Sequence[Look]) -> float:
     return float(np.mean(known))
 
 
-def _blocks(looks: Sequence[Look], centre: float) -> list[Blocks]:
+def _blocks(looks: Sequence[AmplitudeGrid], centre: float) -> list[Blocks]:
     blocks = [block_statistics(look, centre) for look in looks]
     if not any((b.known > 0).any() for b in blocks):
         raise ValueError("expected a block of known amplitudes")
@@ -273,7 +274,7 @@ def _dark(blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()) ->
 
 
 def _dark_law(
-    looks: Sequence[Look],
+    looks: Sequence[AmplitudeGrid],
     dark: NDArray[np.bool_],
     trends: FloatArray,
     centre: float,
@@ -365,7 +366,7 @@ def _seeded(points: FloatArray, n: int) -> FloatArray:
     return np.asarray(np.eye(n)[near])
 
 
-def noise_factor(looks: Sequence[Look]) -> float:
+def noise_factor(looks: Sequence[AmplitudeGrid]) -> float:
     """Pixels to one independent sample, by the middle of each look."""
     factors = []
     for look in looks:
@@ -387,13 +388,13 @@ def _whitened(part: FloatArray) -> FloatArray:
     return np.where(known, filled / np.sqrt(np.maximum(local, 1e-30)), np.nan)
 
 
-def _flattened(look: Look, trend: FloatArray, centre: float) -> FloatArray:
+def _flattened(look: AmplitudeGrid, trend: FloatArray, centre: float) -> FloatArray:
     place = log_cotangent(look.cotangent) - centre
     return np.asarray(look.amplitude * np.exp(-trend_of(trend, place)))
 
 
 def _pixels(
-    looks: Sequence[Look], mask: NDArray[np.bool_], trends: FloatArray, centre: float
+    looks: Sequence[AmplitudeGrid], mask: NDArray[np.bool_], trends: FloatArray, centre: float
 ) -> FloatArray:
     """Amplitudes of a class's pixels, flattened; evenly thinned."""
     rows, columns = mask.shape
@@ -406,7 +407,7 @@ def _pixels(
 
 
 def _laws(
-    looks: Sequence[Look],
+    looks: Sequence[AmplitudeGrid],
     labels: NDArray[np.int64],
     trends: FloatArray,
     centre: float,
@@ -421,7 +422,7 @@ def _laws(
 
 
 def _merged(
-    looks: Sequence[Look],
+    looks: Sequence[AmplitudeGrid],
     labels: NDArray[np.int64],
     least: int,
     how: tuple[FloatArray, float, float],

@@ -22,7 +22,7 @@ LAGS = 4
 SLOPE_SD = (0.12, 0.3)
 
 
-class Look(NamedTuple):
+class AmplitudeGrid(NamedTuple):
     """What one look shows, on the map's lattice.
 
     Attributes
@@ -51,7 +51,7 @@ def log_cotangent(cotangent: FloatArray) -> FloatArray:
     return np.asarray(np.log(np.maximum(cotangent, 1.0)))
 
 
-def block_statistics(look: Look, centre: float) -> Blocks:
+def block_statistics(look: AmplitudeGrid, centre: float) -> Blocks:
     """Gather log amplitudes by blocks, and log cotangents about a centre."""
     amplitude = look.amplitude
     rows, columns = (n // BLOCK * BLOCK for n in amplitude.shape)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sasmap.config import parse_model
+from sasmap.settings.survey import parse_model
+from sasmap.settings.yamlfile import load_yaml
 from sasmap.simulate.scene import Scene
-from sasmap.yamlfile import load_yaml
 
 
 def load_scene(path: str | Path) -> Scene:

@@ -16,14 +16,14 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from sasmap.errors import InputError
+from sasmap.io.files import write_text, written_whole
+from sasmap.io.rasters import Category, Layer, as_bands, float_layer, write_cog
 from sasmap.products.colours import class_colour
-from sasmap.products.files import write_text, written_whole
-from sasmap.products.rasters import Category, Layer, as_bands, float_layer, write_cog
+from sasmap.settings.yamlfile import dump_yaml
 from sasmap.simulate.geometry import track_line
 from sasmap.simulate.image import NODATA, record
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
-from sasmap.yamlfile import dump_yaml
 
 FloatArray = NDArray[np.float64]
 

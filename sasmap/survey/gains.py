@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 
+from sasmap.numerics.threads import mapped
 from sasmap.survey.lattice import FloatArray, Window, bounding_window
 from sasmap.survey.tiles import Amplitude, Tile, gather
-from sasmap.threads import mapped
 
 # Decibels by which the same sea floor may differ, and sea floor on either side of a seam, which is
 # not the same.

@@ -13,8 +13,8 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from sasmap.config import NavigationColumn
 from sasmap.errors import InputError
+from sasmap.settings.survey import NavigationColumn
 from sasmap.survey.lattice import transform_points
 from sasmap.survey.lines import find_lines
 from sasmap.survey.pings import Pings, checked_pings

@@ -15,9 +15,10 @@ import shapely
 import xarray as xr
 from shapely.geometry.base import BaseGeometry
 
-from sasmap.config import PassSettings, Survey
+from sasmap.catalogue import PRODUCTS
 from sasmap.errors import InputError
-from sasmap.productnames import PRODUCTS
+from sasmap.numerics.threads import mapped
+from sasmap.settings.survey import PassSettings, Survey
 from sasmap.survey.cells import CellGrid, check_grid_crs, lay_grid
 from sasmap.survey.contents import look_into
 from sasmap.survey.gains import compare_gains
@@ -26,7 +27,6 @@ from sasmap.survey.passes import Side, SonarPass, open_lazily
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
 from sasmap.survey.seen import assign_tiles, check_altitude, shows_floor
 from sasmap.survey.tiles import Tile, find_tiles, inspect_tile
-from sasmap.threads import mapped
 
 T = TypeVar("T")
 

@@ -18,8 +18,8 @@ import rasterio.windows
 import tifffile
 from numpy.typing import NDArray
 
-from sasmap.config import expanded
 from sasmap.errors import InputError
+from sasmap.settings.survey import expanded
 from sasmap.survey.amplitude import Kind, to_linear
 from sasmap.survey.bands import check_bands
 from sasmap.survey.fill import Fill

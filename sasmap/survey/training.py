@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
-from sasmap.config import ClassSettings, Survey
 from sasmap.errors import InputError
 from sasmap.sediments.segmentation import LEAST_SAMPLES, noise_factor
-from sasmap.sediments.trends import Look
+from sasmap.sediments.trends import AmplitudeGrid
+from sasmap.settings.survey import ClassSettings, Survey
 from sasmap.survey.cells import Cell, CellGrid
 from sasmap.survey.lattice import Window, bounding_window, transform_points
 from sasmap.survey.passes import SonarPass, view
@@ -138,7 +138,7 @@ def _pixels_a_sample(passes: tuple[SonarPass, ...]) -> float:
         except OSError:
             continue
         if np.isfinite(part).any():
-            looks.append(Look(part, np.full_like(part, np.nan)))
+            looks.append(AmplitudeGrid(part, np.full_like(part, np.nan)))
     return noise_factor(looks) if looks else 1.0
 
 

@@ -7,7 +7,7 @@ import pyproj
 import pytest
 
 import sasmap
-from sasmap.pipeline import run_survey
+from sasmap.run.pipeline import run_survey
 from tests.helpers import SHARED
 
 pytestmark = pytest.mark.skipif(

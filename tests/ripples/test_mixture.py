@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sasmap.gaussians import Mixture
+from sasmap.numerics.gaussians import Mixture
 from sasmap.ripples.mixture import disagreement, fit_mixture, marginal, product, widened
 
 ONE = Mixture(np.ones(1), np.array([[0.6, 0.07, 90.0]]), np.diag([1e-3, 2e-3, 0.5])[None] ** 2)

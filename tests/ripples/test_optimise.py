@@ -1,4 +1,4 @@
-"""The climb to the likeliest parameters, on histograms whose truth is known and without noise."""
+"""Fisher scoring to the likeliest parameters: histograms of known truth, without noise."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,10 @@ from sasmap.ripples.optimise import (
     COORDINATES,
     Peak,
     _slope,
-    climb,
+    cross_entropy,
     distinct,
+    fisher_scoring,
     free_coordinates,
-    polished,
     sampled_coordinates,
     search,
 )
@@ -75,8 +75,8 @@ def test_coordinates_are_those_of_the_parameters():
 )
 def test_climb_finds_what_made_the_histogram(law, height, ranges):
     truth, data, where = scene(height, law, ranges, peakedness=0.06)
-    best = climb(search(data, where)[0].z, data, where)
-    best = polished(best, data, where, np.random.default_rng(0))
+    best = fisher_scoring(search(data, where)[0].z, data, where)
+    best = cross_entropy(best, data, where, np.random.default_rng(0))
     at_truth = log_posterior(point_at(truth, where), data, where)
     assert best.level > at_truth - 1.0  # edges of shadow make the likelihood rough
     found = parameters_at(best.z, where)
@@ -92,7 +92,7 @@ def test_climb_returns_from_around_the_peak(away):
     truth, data, where = scene(0.06, fixed=FIXED, peakedness=0.06)
     start = point_at(truth, where)
     start[2], start[1], start[5] = start[2] + away[0], start[1] + away[1], start[5] + away[2]
-    peak = climb(start, data, where, 60)
+    peak = fisher_scoring(start, data, where, 60)
     assert peak.level >= log_posterior(start, data, where)
     assert parameters_at(peak.z, where).height == pytest.approx(0.06, rel=0.02)
     assert peak.z[[3, 4]] == pytest.approx(start[[3, 4]])  # what is fixed stays

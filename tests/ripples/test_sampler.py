@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sasmap.gaussians import Mixture
+from sasmap.numerics.gaussians import Mixture
 from sasmap.ripples.diagnostics import ess_bulk, rhat
 from sasmap.ripples.sampler import (
     Proposal,
@@ -64,14 +64,14 @@ def sampled(name, log_density=None, seed=1, steps=4000, change=None):
     """Chains as an estimate runs them: population, burn-in, frozen proposal."""
     log_density = log_density or TARGETS[name]
     rng = np.random.default_rng(seed)
-    members, proposal = population(log_density, mixture_of_peaks(STARTS[name]), rng)
-    burn_in = metropolis_hastings(log_density, proposal, members, members[:4], 300, rng).draws
-    members = burn_in[:, 75:].reshape(-1, members.shape[1])
-    proposal = fit_proposal(members, 0.2 * len(members))
+    particles, proposal = population(log_density, mixture_of_peaks(STARTS[name]), rng)
+    burn_in = metropolis_hastings(log_density, proposal, particles, particles[:4], 300, rng).draws
+    particles = burn_in[:, 75:].reshape(-1, particles.shape[1])
+    proposal = fit_proposal(particles, 0.2 * len(particles))
     if change:
         proposal = change(proposal)
     starts = burn_in[:, -1]
-    return metropolis_hastings(log_density, proposal, members, starts, steps, rng)
+    return metropolis_hastings(log_density, proposal, particles, starts, steps, rng)
 
 
 def deviations(name, draws):
@@ -157,21 +157,21 @@ def test_a_population_finds_its_way_from_three_sd_off(name):
     away = 3 * (-1) ** np.arange(size) / np.sqrt(size)  # along no axis
     off = truth.mean(axis=0) + np.linalg.cholesky(np.cov(truth.T)) @ away
     start = mixture_of_peaks([(off, np.cov(truth.T), 0.0)])
-    members, proposal = population(TARGETS[name], start, np.random.default_rng(3))
-    assert np.isfinite(members).all()
-    shift = (members.mean(axis=0) - truth.mean(axis=0)) / truth.std(axis=0)
+    particles, proposal = population(TARGETS[name], start, np.random.default_rng(3))
+    assert np.isfinite(particles).all()
+    shift = (particles.mean(axis=0) - truth.mean(axis=0)) / truth.std(axis=0)
     assert np.abs(shift).max() < 0.5
-    np.testing.assert_allclose(members.std(axis=0), truth.std(axis=0), rtol=0.35)
+    np.testing.assert_allclose(particles.std(axis=0), truth.std(axis=0), rtol=0.35)
     fresh = proposal.draw(4000, np.random.default_rng(4))
     weight = TARGETS[name](fresh) - proposal.log_density(fresh)
     assert effective_number(weight) > 0.2 * len(fresh)
 
 
 def test_a_second_mode_is_kept_where_both_are_known():
-    members, _ = population(
+    particles, _ = population(
         two_modes, mixture_of_peaks(STARTS["two modes"]), np.random.default_rng(1)
     )
-    assert abs((members[:, 0] > 0.5).mean() - 0.3) < 0.1
+    assert abs((particles[:, 0] > 0.5).mean() - 0.3) < 0.1
 
 
 def test_same_seed_same_draws():

@@ -51,10 +51,16 @@ def test_flat_sea_floor_scatters_its_cross_section():
 
 def test_amplitude_spans_the_extreme_slopes():
     grazing, steepness = 0.3, 0.25
-    tilt = np.arctan(steepness)
+    incidence_angle = np.arctan(steepness)
     bright, dark = lit_amplitude(grazing, np.array([1.0, -1.0]), 1.0, steepness)
     assert (
-        abs(bright - dark - cross_section(grazing + tilt) + cross_section(grazing - tilt)) < 1e-15
+        abs(
+            bright
+            - dark
+            - cross_section(grazing + incidence_angle)
+            + cross_section(grazing - incidence_angle)
+        )
+        < 1e-15
     )
     assert bright > dark  # the facet that faces the sonar
 

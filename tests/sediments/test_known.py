@@ -3,7 +3,7 @@ import pytest
 
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.segmentation import carry_over, find_classes, train_classes
-from sasmap.sediments.trends import Look
+from sasmap.sediments.trends import AmplitudeGrid
 from tests.sediments.test_segmentation import LEVELS, looks_at, rand_index, regions
 
 
@@ -47,7 +47,7 @@ def test_too_few_marked_pixels_are_told():
 def test_classes_carried_over_find_the_gain(kind, gain):
     known = find_classes(looks_at(regions("three"), 1))
     truth = regions(kind)
-    looks = [Look(gain * look.amplitude, look.cotangent) for look in looks_at(truth, 8)]
+    looks = [AmplitudeGrid(gain * look.amplitude, look.cotangent) for look in looks_at(truth, 8)]
     classes = carry_over(looks, known.laws, known.centre)
     order = np.argsort(LEVELS[:3])  # classes found are numbered by intensity
     wanted = np.argsort(order)[truth]

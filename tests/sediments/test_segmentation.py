@@ -7,7 +7,7 @@ from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import Line, paint, refine_map, traced
 from sasmap.sediments.nodes import Boundary
 from sasmap.sediments.segmentation import find_classes, separation
-from sasmap.sediments.trends import Look
+from sasmap.sediments.trends import AmplitudeGrid
 
 LEVELS, NUS = (1.0, 2.2, 0.4, 4.5), (50.0, 4.0, 20.0, 1.0)
 SIZE = 320
@@ -44,7 +44,7 @@ def looks_at(truth, seed, count=2, levels=LEVELS, nus=NUS):
             sample = k_distribution.rvs(nus[c], size=here.sum(), random_state=rng)
             amplitude[here] = np.sqrt(levels[c]) * sample
         reach = 20 + 0.05 * x if k == 0 else 45 - 0.05 * x
-        looks.append(Look((1.0, 1.7)[k] * amplitude * (reach / 30) ** -0.4, reach))
+        looks.append(AmplitudeGrid((1.0, 1.7)[k] * amplitude * (reach / 30) ** -0.4, reach))
     return looks
 
 
@@ -96,7 +96,7 @@ def test_nothing_seen_is_no_sediment():
     assert (found.label[100:140, 50:90] == 0).all()
     assert np.isnan(found.probability[120, 70])
     assert (found.label[:90] > 0).all()
-    empty = [Look(np.full((64, 64), np.nan), np.full((64, 64), 20.0))]
+    empty = [AmplitudeGrid(np.full((64, 64), np.nan), np.full((64, 64), 20.0))]
     with pytest.raises(ValueError, match="known amplitudes"):
         find_classes(empty)
 
@@ -159,7 +159,9 @@ def test_shadow_is_no_sediment(kind):
     looks = looks_at(truth, 6)
     shadow = np.zeros(truth.shape, bool)
     shadow[100:190, 30:110] = True
-    dark = [Look(np.where(shadow, 0.07 * v.amplitude, v.amplitude), v.cotangent) for v in looks]
+    dark = [
+        AmplitudeGrid(np.where(shadow, 0.07 * v.amplitude, v.amplitude), v.cotangent) for v in looks
+    ]
     classes = find_classes(dark)
     assert len(classes.laws) == truth.max() + 1
     assert classes.dark.mean_square < 0.1 * classes.laws[0].mean_square

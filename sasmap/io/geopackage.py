@@ -1,0 +1,81 @@
+"""GeoPackage of boundaries, written byte for byte the same for the same lines."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+
+from sasmap.io.files import written_whole
+
+FloatArray = NDArray[np.float64]
+
+# The date that GDAL would write is fixed, so that bytes are a function of the lines alone.
+DATE = "2000-01-01T00:00:00.000Z"
+
+
+class Feature(NamedTuple):
+    """A boundary on the map.
+
+    Attributes
+    ----------
+    points : ndarray (n, 2)
+        Map coordinates, m.
+    left, right : str
+        Names of the classes left and right of the way.
+    position_sd : float
+        m.
+    """
+
+    points: FloatArray
+    left: str
+    right: str
+    position_sd: float
+
+
+def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch: Path) -> None:
+    """Write layer ``boundaries`` of a GeoPackage, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    features : sequence of Feature
+    crs : str
+        WKT.
+    scratch : Path
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written.
+    """
+    lines = shapely.to_wkb([shapely.LineString(f.points) for f in features])
+    names = [np.array([getattr(f, k) for f in features], object) for k in ("left", "right")]
+    sd = np.array([f.position_sd for f in features], np.float64)
+    with written_whole(path, scratch) as part:
+        draft = part.with_suffix(".gpkg")  # GDAL warns of other names
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": DATE})
+        try:
+            pyogrio.raw.write(
+                draft,
+                np.asarray(lines, object),
+                [*names, sd],
+                ["left", "right", "position_sd"],
+                driver="GPKG",
+                layer="boundaries",
+                geometry_type="LineString",
+                crs=crs,
+                dataset_options={"VERSION": "1.2"},  # which all readers know
+            )
+        except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
+            draft.unlink(missing_ok=True)
+            raise OSError(f"{path}: cannot be written: {error}") from None
+        finally:
+            pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
+        os.replace(draft, part)

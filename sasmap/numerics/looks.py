@@ -1,0 +1,89 @@
+"""How many independent samples correlated, textured speckle is worth.
+
+Both estimates are of one quantity, the spectrum of the relative intensity over that of independent
+speckle: at a wave's own wave number, for what is fitted to the wave, and towards zero, for
+averages over an area.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
+
+FloatArray = NDArray[np.float64]
+
+# Bounds of the factor: averaging over two looks, and texture stronger than any that was recorded.
+NOISE_BOUNDS = (0.5, 50.0)
+# Cosine of the angle to the wave beyond which the residual is speckle alone.
+BESIDE = 0.8
+
+
+def effective_samples(amplitude: ArrayLike) -> float:
+    """Independent samples that an image of correlated speckle is worth.
+
+    Parameters
+    ----------
+    amplitude : array_like (rows, columns)
+        NaN where there is none.
+
+    Returns
+    -------
+    float
+        Pixels over the sum of the intensity's autocorrelation, as far as that stands out of chance.
+    """
+    image = np.asarray(amplitude, float)
+    known = np.isfinite(image)
+    power = np.where(known, image, 0.0) ** 2
+    count = float(known.sum())
+    if count < 4 or not power.max() > 0:
+        return count
+    flat = np.where(known, power - power.sum() / count, 0.0)
+    shape = [next_fast_len(2 * n) for n in image.shape]
+    product = irfft2(np.abs(rfft2(flat, shape)) ** 2, shape)
+    pairs = irfft2(np.abs(rfft2(known.astype(float), shape)) ** 2, shape)
+    reach = max(min(min(image.shape) // 4, 16), 1)
+    rows, columns = np.arange(-reach, reach + 1), np.arange(-reach, reach + 1)
+    near = np.ix_(rows % shape[0], columns % shape[1])
+    correlation = product[near] / np.maximum(pairs[near], 1.0) / max(product[0, 0] / count, 1e-300)
+    chance = 3 / np.sqrt(np.maximum(pairs[near], 1.0))
+    total = float(correlation[correlation > chance].sum())
+    return count / max(total, 1.0)
+
+
+def noise_factor(ratio: FloatArray, wave: FloatArray) -> float:
+    """Variance of the speckle around the ripple's wave number over that of independent speckle.
+
+    Correlated pixels and texture raise the spectrum of the residual there; averaging of looks
+    lowers it. A geometric mean over the ring about the wave number, other lines left out by it.
+
+    Parameters
+    ----------
+    ratio : ndarray (rows, columns)
+        Intensity over what is expected of it; 0 where there is none.
+    wave : ndarray (2,)
+        Cycles a column and a row.
+
+    Returns
+    -------
+    float
+    """
+    used = ratio > 0
+    count = int(used.sum())
+    mean = ratio[used].mean()
+    flat = np.where(used, np.minimum(ratio / mean, 12.0) - 1.0, 0.0)
+    power = np.abs(rfft2(flat)) ** 2 / count
+    per_column, per_row = wave
+    rows, columns = ratio.shape
+    radius = np.hypot(np.fft.rfftfreq(columns), np.fft.fftfreq(rows)[:, None])
+    number = np.hypot(per_column, per_row)
+    # beside the wave's own direction, where a misfit of the model has its power
+    along = np.fft.rfftfreq(columns) * per_column + np.fft.fftfreq(rows)[:, None] * per_row
+    beside = np.abs(along) < BESIDE * number * radius
+    ring = (radius > 0.6 * number) & (radius < 1.6 * number) & beside
+    if ring.sum() < 20:
+        return 1.0
+    level = float(np.log(power[ring] + 1e-12).mean() + np.euler_gamma)
+    if abs(level) < 2 * np.pi / np.sqrt(6 * ring.sum()):  # two standard deviations
+        return 1.0
+    return float(np.clip(np.exp(level), *NOISE_BOUNDS))

@@ -1,0 +1,1 @@
+"""A run of a survey: plan, cost, tasks and their scheduling, finished work, both stages."""

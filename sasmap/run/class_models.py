@@ -1,0 +1,118 @@
+"""Sediment classes that are known beforehand: of training polygons, or of another survey's file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.errors import InputError, check_file
+from sasmap.sediments.fitting import FAMILIES, Law
+from sasmap.sediments.segmentation import Classes
+
+FORMAT = "sasmap sediment classes 1"
+MAX_BYTES = 2**24
+
+
+class ClassModel(NamedTuple):
+    """Classes that are known beforehand.
+
+    Attributes
+    ----------
+    names : tuple of str
+    marks : callable or None
+        ``marks(row, column)`` gives the class known at each pixel of a cell, 0 for none.
+    cells : tuple of (row, column)
+        That have marks.
+    laws : tuple of Law
+        Of another survey; empty where they are to be learned from the marks.
+    centre : float
+        Log of the cotangent of the grazing angle at which they hold.
+    """
+
+    names: tuple[str, ...]
+    marks: Callable[[int, int], NDArray[np.uint8]] | None = None
+    cells: tuple[tuple[int, int], ...] = ()
+    laws: tuple[Law, ...] = ()
+    centre: float = 0.0
+
+
+def model_text(names: Sequence[str], classes: Classes) -> str:
+    """Write a survey's classes as JSON, for other surveys to take over.
+
+    Parameters
+    ----------
+    names : sequence of str
+    classes : Classes
+
+    Returns
+    -------
+    str
+    """
+    content = {
+        "format": FORMAT,
+        "reference_cotangent": float(np.exp(classes.centre)),
+        "classes": [
+            {"name": name, **asdict(law)} for name, law in zip(names, classes.laws, strict=True)
+        ],
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def read_model(path: Path) -> ClassModel:
+    """Read the classes of another survey.
+
+    Parameters
+    ----------
+    path : Path
+        ``sediment_classes.json`` of its output folder.
+
+    Returns
+    -------
+    ClassModel
+
+    Raises
+    ------
+    InputError
+        Where the file is missing or is not such a file.
+    """
+    expected = "expected sediment_classes.json of another run"
+    check_file(path, expected, MAX_BYTES)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r}")
+        laws = tuple(law_of(one) for one in content["classes"])
+        names = tuple(str(one["name"]) for one in content["classes"])
+        reach = float(content["reference_cotangent"])
+        if not laws or not 0 < reach < np.inf or len(laws) > 250:
+            raise ValueError("no classes, or no angle")
+        return ClassModel(names, laws=laws, centre=float(np.log(reach)))
+    except OSError as error:
+        raise InputError(f"{path}: {expected}: {error.strerror or error}") from None
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: {expected}: {' '.join(str(error).split())}") from None
+
+
+def law_of(content: dict[str, Any]) -> Law:
+    """Read a law from what :func:`model_text` wrote of it.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        Where it is none.
+    """
+    values = {f.name: content[f.name] for f in fields(Law)}
+    law = Law(**{**values, "errors": tuple(values["errors"])})
+    numbers = (law.scale, law.mean_square)
+    shaped = law.family in ("rayleigh", "rice") or law.shape > 0
+    if law.family not in FAMILIES or not shaped or not all(0 < v < np.inf for v in numbers):
+        raise ValueError("a law that is none")
+    if not 0 <= law.kappa < np.inf:
+        raise ValueError("kappa: expected at least 0")
+    return law

@@ -1,0 +1,116 @@
+"""What became of a run, and run.json that tells it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sasmap.catalogue import MANIFEST
+from sasmap.io.files import write_text
+from sasmap.ripples.fusion import FusedCell
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.summary import Summary
+from sasmap.run.plan import Plan
+from sasmap.run.store import Store, code_version
+
+
+@dataclass
+class Outcome:
+    """What became of a run."""
+
+    output: Path
+    cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
+    fused: dict[tuple[int, int], FusedCell] = field(default_factory=dict)
+    keys: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
+    sediments: list[dict[str, Any]] = field(default_factory=list)
+    histograms: list[dict[str, list[float]]] = field(default_factory=list)
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    computed: int = 0
+    kept: int = 0
+    written: list[Path] = field(default_factory=list)
+
+    def counts(self) -> dict[str, int]:
+        """Cells by quality."""
+        labels = [chain.quality.label for chain in self.fused.values()]
+        return {q.label: labels.count(q.label) for q in Quality if q.label in labels}
+
+
+def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
+    """Write run.json; returns its path."""
+    path = store.output / MANIFEST
+    base = plan.settings.path.parent
+    content = {
+        "run_id": plan.run_id,
+        "survey": plan.settings.name,
+        "versions": versions(),
+        "settings": plan.settings.model_dump(mode="json"),
+        "seed": plan.settings.seed,
+        "inputs": {_relative(f, base): value for f, value in plan.hashes.items()},
+        "grid": {
+            "rows": plan.opened.grid.rows,
+            "columns": plan.opened.grid.columns,
+            "cell_size_m": plan.opened.grid.size,
+        },
+        "cells_by_quality": outcome.counts(),
+        "looks_computed": outcome.computed,
+        "looks_kept_from_earlier_runs": outcome.kept,
+        "sediment_classes": outcome.sediments,
+        "failures": outcome.failures,
+        "warnings": outcome.warnings,
+        "left_out": [*plan.left_out, *left_out_counts(outcome)],
+        "products": [*(p.name for p in outcome.written), MANIFEST],
+        "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},
+    }
+    write_text(path, json.dumps(content, indent=2) + "\n", store.scratch)
+    return path
+
+
+def left_out_counts(outcome: Outcome) -> Iterator[str]:
+    """Tell what looks did not need, and how many."""
+    every = [s for summaries in outcome.cells.values() for s in summaries if s is not None]
+    for flag in LeftOut:
+        count = sum(1 for s in every if flag in s.left_out)
+        if count:
+            name = str(flag.name).lower().replace("_", " ")
+            yield f"{name}: at {count} of {len(every)} looks at cells"
+
+
+def _relative(path: Path, base: Path) -> str:
+    try:
+        return str(path.relative_to(base))
+    except ValueError:
+        return os.path.relpath(path, base)
+
+
+def versions() -> dict[str, str]:
+    """Versions of sasmap and of what it stands on."""
+    names = ("numpy", "scipy", "numba", "rasterio", "xarray", "dask", "pyproj")
+    return {
+        "sasmap": code_version(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in names},
+    }
+
+
+class Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure what runs inside."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start

@@ -1,0 +1,253 @@
+"""A survey from plan to products: cells and passes as dask work, finished cells kept."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sasmap.catalogue import LOG, MANIFEST, RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS
+from sasmap.errors import InputError, fault_of
+from sasmap.io.rasters import float_layer, write_large_cog
+from sasmap.products.colours import QUALITY_COLOURS
+from sasmap.products.model import Mosaic
+from sasmap.products.qgis import categories, write_styles
+from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
+from sasmap.products.stac import write_stac
+from sasmap.ripples.fusion import fuse
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.summary import Summary
+from sasmap.run.cost import check_fits
+from sasmap.run.lock import LOCK, locked
+from sasmap.run.manifest import Clock, Outcome, write_manifest
+from sasmap.run.plan import Plan, Swath, make_plan, tags_of
+from sasmap.run.reporting import make_report
+from sasmap.run.scheduling import check_workers, cluster, compute
+from sasmap.run.sediment_stage import sediment_stage
+from sasmap.run.store import Store, code_version
+from sasmap.run.task import Context
+from sasmap.settings.survey import Survey
+from sasmap.survey.cells import Cell
+
+log = logging.getLogger("sasmap")
+
+
+def run_survey(
+    survey: Survey,
+    *,
+    output: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    restart: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Outcome:
+    """Run a survey: estimate every cell, write every product.
+
+    Parameters
+    ----------
+    survey : Survey
+    output : Path, optional
+        Folder of the products; default the survey file's.
+    workers : int, optional
+        Threads; default one a core.
+    scheduler : str, optional
+        Address of a dask.distributed scheduler to use instead of threads.
+    restart : bool
+        Forget finished work first.
+    progress : callable, optional
+        Called with the number of finished cells and of all.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    InputError
+        Before anything is written or changed.
+    """
+    if output is not None:
+        survey = survey.model_copy(update={"output": str(Path(output).absolute())})
+    clock = Clock()
+    with clock.stage("check"):
+        plan = make_plan(survey)
+        check_fits(plan, workers)
+    with cluster(scheduler) as client:
+        check_workers(client, sorted(plan.hashes))
+        store = Store(_made(survey.output_folder))
+        with locked(store.folder / LOCK), _logged(store.output / LOG):
+            log.info("sasmap %s, run %s of %s", code_version(), plan.run_id, survey.path)
+            for warning in plan.opened.warnings:
+                log.warning("warning: %s", warning)
+            store.remove_leftovers()
+            if restart:
+                store.clear()
+            outcome = Outcome(
+                store.output, seconds=clock.seconds, warnings=list(plan.opened.warnings)
+            )
+            if survey.ripples is not None:
+                with clock.stage("ripples"):
+                    _estimate_cells(plan, store, outcome, workers, client, progress)
+            _make_products(plan, store, outcome, clock, workers)
+    return outcome
+
+
+def _make_products(
+    plan: Plan, store: Store, outcome: Outcome, clock: Clock, workers: int | None
+) -> None:
+    survey = plan.settings
+    if survey.ripples is not None:
+        with clock.stage("products"):
+            _write_ripples(plan, store, outcome)
+    if survey.sediments is not None:
+        log.info("sediments")
+        with clock.stage("sediments"):
+            _attempt(outcome, "sediments", lambda: sediment_stage(plan, store, outcome, workers))
+    _name_stale(store, outcome)
+    log.info("report")
+    with clock.stage("report"):
+        _present(plan, store, outcome)
+    _attempt(outcome, MANIFEST, lambda: [write_manifest(plan, store, outcome)])
+
+
+def _name_stale(store: Store, outcome: Outcome) -> None:
+    """Name products of an earlier run that this one does not write: they tell of other input."""
+    written = {path.name for path in outcome.written}
+    names = [n for n in (*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS) if not n.endswith(".aux.xml")]
+    stale = [n for n in names if n not in written and (store.output / n).exists()]
+    if stale:
+        outcome.warnings.append(
+            f"{store.output}: of an earlier run, not of this one: {', '.join(stale)}; remove them, "
+            "or choose another output folder"
+        )
+        log.warning("warning: %s", outcome.warnings[-1])
+
+
+@contextmanager
+def _logged(path: Path) -> Iterator[None]:
+    """Write what is said to a log file as well, with the time."""
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    before = log.level
+    log.setLevel(logging.INFO)
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(before)
+        handler.close()
+
+
+def _made(folder: Path) -> Path:
+    try:
+        (folder / ".sasmap").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: output folder cannot be made: {error.strerror or error}"
+        ) from None
+    if not os.access(folder / ".sasmap", os.W_OK):
+        raise InputError(f"{folder}: output folder cannot be written to")
+    return folder
+
+
+def _estimate_cells(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    client: Any,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    settings = plan.settings.ripples
+    assert settings is not None
+    cells = list(plan.cells)
+    log.info("%d cells, %d looks at them", len(cells), sum(map(len, plan.cells.values())))
+    found = compute(Context(plan, store), cells, workers, client, progress)
+    done = dict(zip(cells, found, strict=True))
+    for cell, looks in plan.cells.items():
+        summaries: list[Summary | None] = [None] * len(plan.swaths)
+        keys: list[str | None] = [None] * len(plan.swaths)
+        for k, result in zip(looks, done[cell], strict=True):
+            summaries[k] = result.summary
+            keys[k] = result.key
+            outcome.computed += result.computed
+            outcome.kept += not result.computed
+            if result.fault is not None:
+                summaries[k] = Summary(Quality.FAILED, LeftOut(0))
+                outcome.failures.append(_failure(cell, plan.swaths[k], result.fault))
+        outcome.cells[cell.row, cell.column] = summaries
+        outcome.keys[cell.row, cell.column] = keys
+        outcome.fused[cell.row, cell.column] = fuse(summaries, settings)
+
+
+def _failure(cell: Cell, look: Swath, fault: str) -> dict[str, Any]:
+    log.warning("cell row %d, column %d, pass %s: %s", *cell, look.label, fault)
+    return {"row": cell.row, "column": cell.column, "pass": look.label, "fault": fault}
+
+
+def _present(plan: Plan, store: Store, outcome: Outcome) -> None:
+    """Styles, project, STAC item and report."""
+    written = [p.name for p in outcome.written]
+    names = categories([c["name"] for c in outcome.sediments], QUALITY_COLOURS)
+    _attempt(outcome, "styles", lambda: write_styles(store.output, written, names, store.scratch))
+    grid = plan.opened.grid
+    left, top = grid.left, grid.top
+    box = left, top - grid.rows * grid.size, left + grid.columns * grid.size, top
+    path = store.output / "stac.json"
+    known = plan.run_id, plan.settings.name, box, grid.crs
+    _attempt(outcome, path.name, lambda: [write_stac(path, *known, written, store.scratch)])
+    _attempt(outcome, "report.html", lambda: [make_report(plan, store, outcome, names)])
+
+
+def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -> None:
+    """Do a stage's work; where it fails, what is done stays and the run says what is missing."""
+    try:
+        outcome.written += work()
+    except Exception as error:
+        fault = fault_of(error)
+        log.warning("%s: %s", stage, fault)
+        outcome.failures.append({"stage": stage, "fault": fault})
+
+
+def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
+    grid, settings = plan.opened.grid, plan.settings.ripples
+    assert settings is not None
+    shape = grid.rows, grid.columns
+    place: list[Any] = [grid.transform, grid.crs, tags_of(plan), store.scratch]
+    found = outcome.cells, outcome.fused
+    names = [look.sonar_pass.name for look in plan.swaths]
+    labels = [look.label for look in plan.swaths]
+    _attempt(
+        outcome,
+        "ripple rasters",
+        lambda: write_ripple_rasters(store.output, *found, names, shape, *place),
+    )
+    path = store.output / "ripples.nc"
+    _attempt(outcome, path.name, lambda: write_ripples_netcdf(path, *found, labels, shape, *place))
+    if settings.keep_model:
+        _attempt(outcome, "modelled amplitude", lambda: [_write_model(plan, store, outcome)])
+
+
+def _write_model(plan: Plan, store: Store, outcome: Outcome) -> Path:
+    grid, window = plan.opened.grid, plan.settings.window
+    path = store.output / "modelled_amplitude.tif"
+
+    def model(row: int, column: int) -> Any:
+        """Modelled amplitude of the last pass that has one."""
+        for key in reversed(outcome.keys.get((row, column), [])):
+            found = None if key is None else store.load_arrays(key, ("model",))
+            if found is not None:
+                return found[0]
+        return None
+
+    mosaic = Mosaic(model, (grid.rows, grid.columns), window)
+    layer = float_layer(["modelled amplitude"], [""], tags_of(plan))
+    write_large_cog(path, mosaic, layer, grid.pixels(window), grid.crs, store.scratch)
+    return path

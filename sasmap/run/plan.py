@@ -1,0 +1,208 @@
+"""What a run will do: looks, cells, files, and what the survey does not call for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import shapely
+
+from sasmap.errors import InputError
+from sasmap.run.class_models import ClassModel, read_model
+from sasmap.run.store import code_version, digest
+from sasmap.settings.survey import Survey
+from sasmap.survey.cells import Cell
+from sasmap.survey.opening import OpenSurvey, check_kept, open_survey
+from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
+from sasmap.survey.tiles import Tile, hash_file
+from sasmap.survey.training import Training, check_shown, read_training
+
+
+class Swath(NamedTuple):
+    """One side of one pass."""
+
+    sonar_pass: SonarPass
+    side: Side
+
+    @property
+    def label(self) -> str:
+        """The pass's name, with the side where the pass shows both."""
+        both = len(self.sonar_pass.sides) == 2
+        return f"{self.sonar_pass.name}:{self.side}" if both else self.sonar_pass.name
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will do.
+
+    Attributes
+    ----------
+    opened : OpenSurvey
+    swaths : tuple of Swath
+    cells : dict of Cell to tuple of int
+        The swaths (indices) whose tiles meet each cell that any meet.
+    tiles : dict of str to dict of Cell to tuple of Tile
+        By pass, the tiles that may show each cell.
+    hashes : dict of Path to str
+        SHA-256 of every input file.
+    left_out : tuple of str
+        What the survey does not call for, and why.
+    training : tuple of Training
+        Where sediments are known; empty unless the survey says.
+    model : ClassModel or None
+        Sediment classes of another survey.
+    """
+
+    opened: OpenSurvey
+    swaths: tuple[Swath, ...]
+    cells: dict[Cell, tuple[int, ...]]
+    tiles: dict[str, dict[Cell, tuple[Tile, ...]]]
+    hashes: dict[Path, str]
+    left_out: tuple[str, ...]
+    training: tuple[Training, ...] = ()
+    model: ClassModel | None = None
+
+    @property
+    def settings(self) -> Survey:
+        """The survey's settings."""
+        return self.opened.settings
+
+    @property
+    def run_id(self) -> str:
+        """Hash of inputs, settings, code version and seed."""
+        # inputs count by what they hold, not by where they lie
+        places: Any = {"passes": {"__all__": {"tiles", "navigation"}}}
+        places |= dict.fromkeys(("output", "area", "exclude"), True)
+        settings = self.settings.model_dump(mode="json", exclude=places)
+        settings["sediments"] = self.sediment_settings
+        return digest([self._inputs(), settings, code_version()])[:16]
+
+    @property
+    def sediment_settings(self) -> list[Any] | None:
+        """Settings of the sediment map, files by what they hold."""
+        sediments = self.settings.sediments
+        if sediments is None:
+            return None
+        known = [[t.name, self.hashes[t.path]] for t in self.training]
+        model = None if sediments.model is None else self.hashes[self.model_path]
+        return [None if self.training else sediments.classes, known, model]
+
+    @property
+    def model_path(self) -> Path:
+        """File of another survey's sediment classes."""
+        sediments = self.settings.sediments
+        assert sediments is not None
+        assert sediments.model is not None
+        return self.settings.resolve(sediments.model)
+
+    def _inputs(self) -> list[list[str]]:
+        swaths = [
+            [swath.label, *(self.hashes[f] for f in swath.sonar_pass.files)]
+            for swath in self.swaths
+        ]
+        polygons = (self.settings.area, self.settings.exclude)
+        named = ["" if p is None else self.hashes[self.settings.resolve(p)] for p in polygons]
+        return [*swaths, named]
+
+
+def make_plan(survey: Survey) -> Plan:
+    """Open and check a survey, and list what would run.
+
+    Parameters
+    ----------
+    survey : Survey
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    InputError
+        With a line for every fault of the survey's files.
+    """
+    opened = open_survey(survey)
+    swaths = tuple(Swath(p, side) for p in opened.passes for side in p.sides)
+    tiles = {p.name: tiles_of_cells(p, opened.grid) for p in opened.passes}
+    cells = {
+        cell: tuple(k for k, one in enumerate(swaths) if cell in tiles[one.sonar_pass.name])
+        for cell in sorted({cell for met in tiles.values() for cell in met})
+        if _called_for(opened, cell)
+    }
+    if not cells:
+        raise InputError(f"{survey.path}: area, exclude: they leave no cell of the survey")
+    training = read_training(survey, opened.grid)
+    check_shown(training, opened.passes, opened.grid)
+    files = {f for p in opened.passes for f in p.files} | {t.path for t in training}
+    files |= set(opened.polygon_files)
+    model = None
+    if survey.sediments is not None and survey.sediments.model is not None:
+        path = survey.resolve(survey.sediments.model)
+        model = read_model(path)
+        files.add(path)
+    check_kept(survey, files)
+    hashes = {f: hash_file(f) for f in sorted(files)}
+    return Plan(opened, swaths, cells, tiles, hashes, tuple(_left_out(survey)), training, model)
+
+
+def _called_for(opened: OpenSurvey, cell: Cell) -> bool:
+    """Whether the survey's area touches a cell and not all of it is left out."""
+    square = shapely.box(*opened.grid.bounds(cell))
+    if opened.area is not None and not opened.area.intersects(square):
+        return False
+    return opened.excluded is None or not opened.excluded.covers(square)
+
+
+def _left_out(survey: Survey) -> Iterator[str]:
+    if survey.ripples is None:
+        yield "ripples: the survey file has no ripples block"
+    if survey.sediments is None:
+        yield "sediments: the survey file has no sediments block"
+
+
+def _classes_told(plan: Plan) -> str:
+    """Where the sediment classes come from."""
+    settings = plan.settings.sediments
+    assert settings is not None
+    if plan.model is not None:
+        return f"classes of {settings.model}: {', '.join(plan.model.names)}"
+    if plan.training:
+        return "classes by training: " + ", ".join(t.name for t in plan.training)
+    return (
+        "as many classes as the data show"
+        if settings.classes == "auto"
+        else (f"{settings.classes} classes")
+    )
+
+
+def tags_of(plan: Plan) -> dict[str, str]:
+    """Return the tags of a plan's products."""
+    return {
+        "SOFTWARE": f"sasmap {code_version()}",
+        "SURVEY": plan.settings.name,
+        "RUN_ID": plan.run_id,
+    }
+
+
+def describe(plan: Plan) -> Iterable[str]:
+    """Tell what a plan would run, a line each."""
+    grid = plan.opened.grid
+    looks = [len(k) for k in plan.cells.values()]
+    yield f"survey: {plan.settings.name}"
+    yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    for p in plan.opened.passes:
+        met = sum(any(plan.swaths[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
+        sides = " and ".join(p.sides)
+        yield f"pass {p.name}: {len(p.tiles)} tiles, {sides}, {p.track.x.size} pings, {met} cells"
+    if plan.settings.ripples is not None:
+        method = plan.settings.ripples.method
+        yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+    if plan.settings.sediments is not None:
+        yield f"sediments: {_classes_told(plan)}"
+    shown = Counter(len(k) for k in plan.cells.values())
+    yield "looks a cell: " + ", ".join(f"{n} at {shown[n]} cells" for n in sorted(shown))
+    for line in plan.left_out:
+        yield f"left out: {line}"

@@ -1,0 +1,170 @@
+"""The sediment stage of a run: map, products, and what is kept of an unchanged one."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.catalogue import SEDIMENT_PRODUCTS
+from sasmap.errors import fault_of
+from sasmap.io.files import write_text
+from sasmap.products.sediments import write_sediments
+from sasmap.run.class_models import ClassModel, model_text
+from sasmap.run.manifest import Outcome
+from sasmap.run.plan import Plan, tags_of
+from sasmap.run.sediment_map import Ground, map_sediments
+from sasmap.run.store import Store, code_version, digest
+from sasmap.run.task import Context, excluded_hash, read_floor, track_hash
+from sasmap.survey.cells import Cell
+from sasmap.survey.tiles import hash_file
+from sasmap.survey.training import cells_shown, marked
+
+log = logging.getLogger("sasmap")
+
+RECORD = "sediments.json"
+
+
+def sediment_stage(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> list[Path]:
+    """Map sediments, or keep an earlier run's map of the same; returns the products."""
+    key = _key(plan, outcome)
+    kept = _kept(store, key)
+    if kept is None:
+        return _map(plan, store, outcome, workers, key)
+    outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
+    return [store.output / name for name in kept["files"]]
+
+
+def _key(plan: Plan, outcome: Outcome) -> str:
+    """Hash of everything the map depends on, what the ripple stage found included."""
+    grid = plan.opened.grid
+    looks = [
+        [
+            look.label,
+            look.side,
+            look.sonar_pass.slant,
+            [[plan.hashes[tile.path], tile.kind] for tile in look.sonar_pass.tiles],
+            track_hash(look.sonar_pass.track),
+        ]
+        for look in plan.swaths
+    ]
+    place = [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size), plan.settings.window]
+    found = sorted((list(cell), keys) for cell, keys in outcome.keys.items())
+    shown = [sorted(list(cell) for cell in plan.cells), excluded_hash(plan, None)]
+    known = [code_version(), plan.sediment_settings, place, looks, found, shown, tags_of(plan)]
+    return digest(known)
+
+
+def _kept(store: Store, key: str) -> dict[str, Any] | None:
+    """Return what an earlier run recorded of the same map, if its files are still what it wrote."""
+    try:
+        record = json.loads((store.folder / RECORD).read_text(encoding="utf-8"))
+        if (
+            record["key"] != key
+            or "histograms" not in record
+            or set(record["files"]) - set(SEDIMENT_PRODUCTS)
+        ):
+            return None
+        for name, value in record["files"].items():
+            if hash_file(store.output / name) != value:
+                return None
+        return dict(record)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: str) -> list[Path]:
+    settings = plan.settings.sediments
+    assert settings is not None
+    grid, window = plan.opened.grid, plan.settings.window
+    reader = _Reader(plan, store, outcome)
+    ground = Ground(grid.rows, grid.columns, window, len(plan.swaths), reader)
+    count = settings.classes if isinstance(settings.classes, int) else None
+    transform = grid.pixels(window)
+    with ExitStack() as stack:
+        threads = workers or os.cpu_count() or 1
+        found = map_sediments(ground, count, _known(plan), threads, store.scratch, stack)
+        reader.record(outcome)
+        if found is None:
+            return []
+        written = write_sediments(
+            store.output,
+            found.label,
+            found.confidence,
+            found.lines,
+            found.names,
+            transform,
+            grid.crs,
+            tags_of(plan),
+            store.scratch,
+        )
+        outcome.sediments = found.table(abs(transform.determinant))
+        outcome.histograms = found.histograms(ground)
+    written.append(store.output / "sediment_classes.json")
+    write_text(written[-1], model_text(found.names, found.classes), store.scratch)
+    if not reader.faults:
+        _keep(store, key, outcome, written)
+    return written
+
+
+def _keep(store: Store, key: str, outcome: Outcome, written: list[Path]) -> None:
+    files = {path.name: hash_file(path) for path in written}
+    record = {
+        "key": key,
+        "table": outcome.sediments,
+        "histograms": outcome.histograms,
+        "files": files,
+    }
+    write_text(store.folder / RECORD, json.dumps(record), store.scratch)
+
+
+def _known(plan: Plan) -> ClassModel | None:
+    """Classes of training polygons, or of another survey."""
+    if not plan.training:
+        return plan.model
+    grid, window = plan.opened.grid, plan.settings.window
+
+    def marks(row: int, column: int) -> NDArray[np.uint8]:
+        return marked(plan.training, grid, Cell(row, column), window)
+
+    names = tuple(one.name for one in plan.training)
+    return ClassModel(names, marks, tuple(cells_shown(plan.training, grid)))
+
+
+class _Reader:
+    """Reads looks at cells for the map, from several threads; keeps what cannot be read."""
+
+    def __init__(self, plan: Plan, store: Store, outcome: Outcome) -> None:
+        self._context = Context(plan, store)
+        self._keys = outcome.keys
+        self._lock = Lock()
+        self.faults: dict[tuple[int, int, int], str] = {}
+
+    def __call__(
+        self, row: int, column: int, k: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        keys = self._keys.get((row, column))
+        try:
+            return read_floor(self._context, Cell(row, column), k, keys[k] if keys else None)
+        except Exception as error:  # one cell's fault must not end the survey
+            with self._lock:
+                self.faults[row, column, k] = fault_of(error)
+            return None
+
+    def record(self, outcome: Outcome) -> None:
+        """Add what could not be read to a run's failures, unless the ripple stage has."""
+        known = {(f.get("row"), f.get("column"), f.get("pass")) for f in outcome.failures}
+        for (row, column, k), fault in sorted(self.faults.items()):
+            label = self._context.plan.swaths[k].label
+            if (row, column, label) not in known:
+                log.warning("cell row %d, column %d, pass %s: %s", row, column, label, fault)
+                outcome.failures.append(
+                    {"row": row, "column": column, "pass": label, "fault": fault}
+                )

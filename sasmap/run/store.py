@@ -1,0 +1,120 @@
+"""Finished work in the output folder: kept under a key of everything it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.io.files import write_text, written_whole
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.summary import Summary
+from sasmap.version import VERSION
+
+FOLDER = ".sasmap"
+
+
+@dataclass(frozen=True)
+class Store:
+    """Finished looks at cells, a small JSON file each, written whole or not at all.
+
+    Attributes
+    ----------
+    output : Path
+        The survey's output folder.
+    """
+
+    output: Path
+
+    @property
+    def folder(self) -> Path:
+        """Folder of what is kept between runs."""
+        return self.output / FOLDER
+
+    @property
+    def scratch(self) -> Path:
+        """Folder of unfinished files; never read, emptied by the next run."""
+        return self.output / FOLDER / "unfinished"
+
+    def path(self, key: str) -> Path:
+        """Where the result under a key is kept."""
+        return self.output / FOLDER / "cells" / key[:2] / f"{key}.json"
+
+    def load(self, key: str) -> Summary | None:
+        """Return the finished result under a key, or None."""
+        try:
+            content = json.loads(self.path(key).read_text(encoding="utf-8"))
+            return _summary(content)
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+
+    def save(self, key: str, summary: Summary) -> None:
+        """Keep a finished result."""
+        write_text(self.path(key), json.dumps(asdict(summary)), self.scratch)
+
+    def arrays_path(self, key: str) -> Path:
+        """Where the arrays of a result are kept."""
+        return self.path(key).with_suffix(".npz")
+
+    def save_arrays(self, key: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keep a result's arrays; before the result, which completes them."""
+        with written_whole(self.arrays_path(key), self.scratch) as part, part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+
+    def load_arrays(self, key: str, names: Sequence[str]) -> list[NDArray[Any]] | None:
+        """Return some of a result's arrays, or None where it lacks any."""
+        try:
+            with np.load(self.arrays_path(key), allow_pickle=False) as arrays:
+                return [arrays[name] for name in names]
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile):
+            return None
+
+    def clear(self) -> None:
+        """Forget all finished work."""
+        for path in self.folder.glob("*.json"):
+            path.unlink(missing_ok=True)
+        for path in (self.output / FOLDER / "cells").glob("*/*.*"):
+            path.unlink(missing_ok=True)
+
+    def remove_leftovers(self) -> None:
+        """Remove what an interrupted run left unfinished."""
+        for path in self.scratch.glob("*"):
+            path.unlink(missing_ok=True)
+
+
+def _summary(content: dict[str, Any]) -> Summary:
+    if set(content) != {f.name for f in fields(Summary)}:
+        raise ValueError("not a summary of this version")
+    pairs = {k: _frozen(v) for k, v in content.items()}
+    pairs["quality"] = Quality(content["quality"])
+    pairs["left_out"] = LeftOut(content["left_out"])
+    return Summary(**pairs)
+
+
+def _frozen(value: Any) -> Any:
+    """Turn lists, however deep, into the tuples they were."""
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+
+
+def digest(content: Any) -> str:
+    """Return the SHA-256 of a JSON value, in hexadecimal."""
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def code_version() -> str:
+    """Version of sasmap and a hash of its source: other code may give other results."""
+    state = hashlib.sha256()
+    root = Path(__file__).parent.parent
+    for path in sorted(root.rglob("*.py")):
+        state.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return f"{VERSION}+{state.hexdigest()[:12]}"

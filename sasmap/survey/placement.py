@@ -1,0 +1,54 @@
+"""A clip's values on the pixels of its cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.clip import Clip
+from sasmap.ripples.image import lattice
+from sasmap.survey.cells import Cell, CellGrid
+
+# Pixels by which a clip's lattice may stray from the cell's.
+STRAIGHT = 0.05
+
+
+def on_cell(
+    clip: Clip, model: NDArray[np.float64], grid: CellGrid, cell: Cell, window: int
+) -> NDArray[np.float32]:
+    """Take a clip's modelled amplitude to the pixels of its cell, each from its nearest.
+
+    Parameters
+    ----------
+    clip : Clip
+    model : ndarray (rows, columns)
+        On the clip's lattice.
+    grid : CellGrid
+    cell : Cell
+    window : int
+        Pixels a side of the cell.
+
+    Returns
+    -------
+    ndarray (window, window)
+        NaN where the clip has no model.
+    """
+    step = grid.size / window
+    x = grid.left + cell.column * grid.size + step * (np.arange(window) + 0.5)
+    y = grid.top - cell.row * grid.size - step * (np.arange(window) + 0.5)
+    steps, first = lattice(clip)
+    result = np.full((window, window), np.nan, np.float32)
+    north_up = np.diag([step, -step])
+    if np.abs(steps - north_up).max() * max(model.shape) < STRAIGHT * step:  # the usual case
+        column, row = (
+            np.rint(v).astype(int) for v in ((x - first[0]) / step, (first[1] - y) / step)
+        )
+        across = (column >= 0) & (column < model.shape[1])
+        down = (row >= 0) & (row < model.shape[0])
+        result[np.ix_(down, across)] = model[np.ix_(row[down], column[across])]
+        return result
+    offset = np.stack(np.broadcast_arrays(x[None, :] - first[0], y[:, None] - first[1]))
+    column, row = np.rint(np.einsum("ij,jkl->ikl", np.linalg.inv(steps), offset)).astype(int)
+    inside = (row >= 0) & (row < model.shape[0]) & (column >= 0) & (column < model.shape[1])
+    result[inside] = model[row[inside], column[inside]]
+    return result

@@ -1,0 +1,131 @@
+"""Surveys whose sediments are known: named classes, and another survey's."""
+
+import json
+
+import numpy as np
+import pytest
+import rasterio
+import yaml
+
+import sasmap
+from sasmap.cli import main
+from sasmap.errors import InputError
+from sasmap.run.pipeline import run_survey
+from sasmap.run.plan import make_plan
+
+SCENE = {
+    "name": "two floors",
+    "seed": 3,
+    "origin": [500000, 3300000],
+    "size": [16, 12],
+    "pixel_size": 0.05,
+    "window": 80,
+    "sediments": [
+        {"name": "mud", "level": 0.4},
+        {"name": "sand", "level": 1.0, "polygon": [[8, -1], [7, 5], [9, 13], [17, 13], [17, -1]]},
+    ],
+    "passes": [{"name": "one", "heading": 90, "distance": 30, "altitude": 6, "gain": 60}],
+}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A survey of mud in the west and sand in the east, without ripples."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "scene.yaml").write_text(yaml.safe_dump(SCENE))
+    assert main(["simulate", str(folder / "scene.yaml"), "--output", str(folder)]) == 0
+    for name, x in (("mud", 500002), ("sand", 500012)):
+        ring = [[x, 3300002], [x + 3, 3300002], [x + 3, 3300009], [x, 3300009], [x, 3300002]]
+        shape = {"type": "Polygon", "coordinates": [ring]}
+        shape["crs"] = {"type": "name", "properties": {"name": "EPSG:32617"}}
+        (folder / f"{name}.geojson").write_text(json.dumps(shape))
+    return folder
+
+
+def survey_of(scene, **sediments):
+    content = yaml.safe_load((scene / "survey.yaml").read_text())
+    del content["ripples"]
+    content["sediments"] = sediments
+    path = scene / f"{'_'.join(sediments) or 'plain'}.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def run(path, output):
+    outcome = run_survey(sasmap.load_survey(path), output=output, workers=2)
+    with rasterio.open(output / "sediment_class.tif") as source:
+        return outcome, source.read(1)
+
+
+def test_named_classes_are_mapped_and_reused(scene, tmp_path):
+    # the brighter one first: numbers follow the list, not the intensity
+    named = [{"name": n, "training": f"{n}.geojson"} for n in ("sand", "mud")]
+    outcome, label = run(survey_of(scene, classes=named), tmp_path / "a")
+    assert [c["name"] for c in outcome.sediments] == ["sand", "mud"]
+    x = np.arange(label.shape[1]) * 0.05
+    assert (label[:, x < 6.5] == 2).mean() > 0.99
+    assert (label[:, x > 9.5] == 1).mean() > 0.99
+    text = (tmp_path / "a" / "sediment_class.tif.aux.xml").read_text()
+    assert "<Category>sand</Category>" in text
+    model = tmp_path / "a" / "sediment_classes.json"
+    again, reused = run(survey_of(scene, model=str(model)), tmp_path / "b")
+    assert [c["name"] for c in again.sediments] == ["sand", "mud"]
+    assert (reused == label).mean() > 0.995
+
+
+def test_an_unchanged_map_is_kept_and_a_changed_one_made_anew(scene, tmp_path):
+    path = survey_of(scene, classes=2)
+    run(path, tmp_path)
+    products = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("sediment*.[tg]*")}
+    outcome, _ = run(path, tmp_path)
+    assert len(outcome.sediments) == 2
+    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("sediment*.[tg]*")} == products
+    (tmp_path / "sediment_class.tif").write_bytes(b"touched")
+    _, label = run(path, tmp_path)
+    assert label.max() == 2
+    _, label = run(survey_of(scene, classes=1), tmp_path)
+    assert label.max() == 1
+
+
+def test_training_without_pixels_is_refused_before_anything_starts(scene, tmp_path):
+    ring = [[500002, 3300002], [500002.1, 3300002], [500002.1, 3300002.1], [500002, 3300002]]
+    shape = {"type": "Polygon", "coordinates": [ring]}
+    shape["crs"] = {"type": "name", "properties": {"name": "EPSG:32617"}}
+    (scene / "tiny.geojson").write_text(json.dumps(shape))
+    named = [{"name": n, "training": f"{n}.geojson"} for n in ("sand", "tiny")]
+    with pytest.raises(InputError, match=r"tiny\.geojson: class 'tiny': the tiles show \d+ pixels"):
+        run_survey(sasmap.load_survey(survey_of(scene, classes=named)), output=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unreadable_block_is_named_and_the_rest_is_mapped(scene, tmp_path):
+    path = survey_of(scene, classes=2)
+    tile = next((scene / "one").glob("*.tif"))
+    content = tile.read_bytes()
+    with rasterio.open(tile) as source:
+        offset = int(source.get_tag_item("BLOCK_OFFSET_1_0", "TIFF", bidx=1))
+    broken = bytearray(content)
+    broken[offset : offset + 60] = b"\xff" * 60
+    try:
+        tile.write_bytes(bytes(broken))
+        outcome, label = run(path, tmp_path)
+    finally:
+        tile.write_bytes(content)
+    # the second column of blocks begins at pixel 256, within the last column of cells
+    assert {(f["row"], f["column"]) for f in outcome.failures} == {(0, 3), (1, 3), (2, 3)}
+    assert all("one_r0_c0.tif" in f["fault"] for f in outcome.failures)
+    assert (label[:, :240] > 0).all()
+    assert not label[:, 240:].any()
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"format": "other"}', "null"])
+def test_a_model_that_is_none_is_refused(scene, content):
+    (scene / "bad.json").write_text(content)
+    with pytest.raises(sasmap.errors.InputError, match=r"bad\.json: expected sediment_classes"):
+        make_plan(sasmap.load_survey(survey_of(scene, model="bad.json")))
+
+
+def test_classes_and_model_exclude_each_other(scene):
+    path = survey_of(scene, classes=2, model="x.json")
+    with pytest.raises(sasmap.errors.InputError, match="expected classes or model, not both"):
+        sasmap.load_survey(path)
