@@ -80,12 +80,15 @@ class Shape:
         Smoothing of the phase field, m; infinite where crests are straight.
     noise_factor : float
         Variance of the speckle over that of independent pixels.
+    defect_density : float
+        Places a square metre where crests split or end.
     """
 
     coherence_length: float
     rippled_fraction: float
     stiffness: float
     noise_factor: float
+    defect_density: float
 
 
 def axial(degrees: FloatArray) -> tuple[float, float]:
@@ -133,6 +136,14 @@ class Posterior:
         geometry is known or no ripple is.
     relief : ndarray (rows, columns) or None
         With `model`: the same over the amplitude of flat sea floor.
+    reason : str
+        Why the clip cannot tell, in words; empty where it can.
+    rippled : ndarray (rows, columns) or None
+        Probability that a pixel lies on rippled floor, NaN where the clip shows nothing; None
+        without draws.
+    reference : tuple of float
+        What `rippled` was told by: wave vector (east, north), cycles/m, and
+        :attr:`sasmap.ripples.extent.Extent.own`. Empty without draws.
     """
 
     quality: Quality
@@ -144,6 +155,9 @@ class Posterior:
     shape: Shape | None = None
     model: FloatArray | None = None
     relief: FloatArray | None = None
+    reason: str = ""
+    rippled: FloatArray | None = None
+    reference: tuple[float, ...] = ()
 
     @property
     def sampled(self) -> bool:

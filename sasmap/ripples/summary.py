@@ -43,6 +43,10 @@ class Summary:
         Of the scattering law sin^n(theta) exp(-c (theta - pi/2)^2), by this look alone.
     peakedness, asymmetry : float
         Second harmonics of the crest profile over A_H.
+    defect_density : float
+        Places a square metre of rippled floor where crests split or end.
+    reason : str
+        Why the look cannot tell whether there are ripples, in words; empty where it can.
     """
 
     quality: Quality
@@ -68,6 +72,8 @@ class Summary:
     concentration_sd: float = NAN
     peakedness: float = NAN
     asymmetry: float = NAN
+    defect_density: float = NAN
+    reason: str = ""
 
     @property
     def density(self) -> Mixture | None:
@@ -90,7 +96,12 @@ def summarise(posterior: Posterior) -> Summary:
     Summary
     """
     if not posterior.sampled:
-        return Summary(posterior.quality, posterior.left_out, probability=posterior.probability)
+        return Summary(
+            posterior.quality,
+            posterior.left_out,
+            probability=posterior.probability,
+            reason=posterior.reason,
+        )
     draws = [posterior.draws[name].values for name in ("frequency", "height")]
     q05, q95 = (tuple(float(np.quantile(d, p)) for d in draws) for p in (0.05, 0.95))
     spread = [float(d.std(ddof=1)) for d in draws]
@@ -129,7 +140,7 @@ def _mixture(posterior: Posterior) -> tuple[Numbers, ...]:
     )
 
 
-def _law(posterior: Posterior) -> dict[str, float]:
+def _law(posterior: Posterior) -> dict[str, Any]:
     """Scattering law and crest profile, where they are part of the posterior."""
     if "exponent" not in posterior.draws:
         return {}
@@ -146,6 +157,7 @@ def _shape(posterior: Posterior) -> dict[str, Any]:
         "coherence_length": shape.coherence_length,
         "rippled_fraction": shape.rippled_fraction,
         "noise_factor": shape.noise_factor,
+        "defect_density": shape.defect_density,
     }
 
 

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from sasmap.errors import fault_of
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.estimation import estimate
+from sasmap.ripples.estimation import MIN_PIXELS, estimate
+from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fusion import next_prior
+from sasmap.ripples.image import as_image, on_clip
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.removal import without_ripples
@@ -29,6 +31,8 @@ from sasmap.survey.passes import Side, read_clip
 from sasmap.survey.placement import on_cell
 
 MIN_VALID = 0.25
+# Steps of the probability that a pixel is rippled, as the store keeps it, and pixels not seen.
+CERTAIN, UNSEEN = 200, 255
 
 
 class LookResult(NamedTuple):
@@ -88,7 +92,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
         return LookResult(kept, None, False, key)
     clip = clip_of(plan, cell, look, look.side)
     pixels = None if clip is None else Clip.from_array(clip)
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     if clip is None or pixels is None:
         summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
     elif _shown(plan, cell, look, clip) < MIN_VALID:
@@ -96,7 +100,10 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
     else:
         posterior = _estimated(plan, cell, look, pixels, settings, prior)
         summary = summarise(posterior)
-        arrays = _modelled(plan, cell, pixels, posterior)
+        arrays |= _modelled(plan, cell, pixels, posterior)
+        if posterior.rippled is not None:
+            arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
+            arrays["reference"] = np.array(posterior.reference)
     if plan.settings.sediments is not None and pixels is not None:
         amplitude, cotangent = _floor(plan, cell, pixels, arrays.pop("relief", None))
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
@@ -171,6 +178,46 @@ def _modelled(
     if plan.settings.sediments is not None and posterior.relief is not None:
         found["relief"] = on_cell(clip, posterior.relief, *place)
     return found
+
+
+def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Probability of rippled floor on a cell's own pixels, in steps of 1 / CERTAIN."""
+    there = on_cell(clip, rippled, plan.opened.grid, cell, plan.settings.window)
+    known = np.isfinite(there)
+    steps = np.rint(CERTAIN * np.where(known, there, 0.0))
+    return np.where(known, steps, UNSEEN).astype(np.uint8)
+
+
+def extent_beside(
+    context: Context, cell: Cell, k: int, references: Sequence[NDArray[np.float64]]
+) -> NDArray[np.uint8] | None:
+    """Tell how far ripples of the cells around go on into one where none were found.
+
+    Parameters
+    ----------
+    context : Context
+    cell : Cell
+    k : int
+        Swath.
+    references : sequence of ndarray (3,)
+        `Posterior.reference` of the cells around.
+
+    Returns
+    -------
+    ndarray of uint8 (window, window) or None
+        As the store keeps it; None where the look does not show the cell.
+    """
+    plan = context.plan
+    look = plan.swaths[k]
+    array = clip_of(plan, cell, look, look.side) if k in plan.cells.get(cell, ()) else None
+    if array is None:
+        return None
+    clip = Clip.from_array(array)
+    if clip.valid.sum() < MIN_PIXELS or np.ptp(clip.amplitude[clip.valid]) == 0:
+        return None
+    image = as_image(clip)
+    found = [ripple_extent(image, r[:2], float(r[2])).probability for r in references]
+    return _packed(plan, cell, clip, on_clip(clip, image, np.max(found, axis=0)))
 
 
 def _floor(
