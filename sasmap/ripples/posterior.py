@@ -80,12 +80,17 @@ class Shape:
         Smoothing of the phase field, m; infinite where crests are straight.
     noise_factor : float
         Variance of the speckle over that of independent pixels.
+    tangent, altitude, altitude_sd : float
+        Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
     """
 
     coherence_length: float
     rippled_fraction: float
     stiffness: float
     noise_factor: float
+    tangent: float = 1.0
+    altitude: float = 1.0
+    altitude_sd: float = 0.0
 
 
 def axial(degrees: FloatArray) -> tuple[float, float]:

@@ -36,7 +36,7 @@ NODES = 512
 # Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and the
 # largest that are tried: 0 is a sine, 0.25 in phase with the crest the peaked profile
 # 2((1 + sin)/2)^2 - 1, and beyond 0.4 a second crest grows in the trough.
-PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.1), 0.4
+PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.15), 0.4
 # Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
 # c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
 # (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
