@@ -33,6 +33,8 @@ LOCAL_STEP = 1.7
 # proposal's at which they end, that over its median (pipelines/ripples/coherent.py).
 DEFENSIVE, WIDE = 0.2, 1.6
 ADAPTATIONS, ADAPTATION_STEPS, LEARNED, SHORTFALL = 6, 200, 0.3, 3.0
+# Rounds of a mixture's fit, and the gain in mean log likelihood at which it ends.
+EM_ROUNDS, EM_ENOUGH = 20, 1e-3
 # Share of a chain's draws that are independent, about.
 INDEPENDENT = 0.2
 # Points of a round in which a proposal is learned, and rounds at most; effective points a dimension
@@ -247,8 +249,9 @@ def fit_proposal(points: FloatArray, effective: float) -> Proposal:
         mixture, level = _fitted(z, n)
         cost = n * (1 + size + size * (size + 1) / 2)
         score = effective * level - 0.5 * cost * np.log(effective)
-        if score > best_score:
-            best, best_score = mixture, score
+        if score <= best_score:
+            break
+        best, best_score = mixture, score
     assert best is not None
     outer = WIDENED**2 * scale[:, None] * scale
     return Proposal(Mixture(best.weight, centre + scale * best.mean, best.covariance * outer))
@@ -260,7 +263,7 @@ def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
     floor = np.full(z.shape[1], FLOOR)
-    mixture, _, level = expectation_maximisation(z, share.astype(float), floor, 40, 1e-4)
+    mixture, _, level = expectation_maximisation(z, share.astype(float), floor, EM_ROUNDS, EM_ENOUGH)
     return mixture, level
 
 
