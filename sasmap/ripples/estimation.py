@@ -26,7 +26,7 @@ from sasmap.ripples.priors import Prior
 from sasmap.ripples.published import sample_published
 from sasmap.ripples.rendering import heights_at, log_posteriors, parameters_at
 from sasmap.ripples.sampler import (
-    fit_proposal,
+    adapted,
     metropolis_hastings,
     mixture_of_peaks,
     population,
@@ -36,10 +36,8 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Draws a chain of the rounds after which convergence is judged, the first of which is burn-in;
-# share of accepted proposals under which these are learned anew from it, and share of its draws
-# that are independent.
-ROUND, LEARNED, INDEPENDENT = 300, 0.35, 0.2
+# Draws a chain of the first round after which convergence is judged.
+ROUND = 300
 # Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
 # (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
@@ -154,6 +152,9 @@ def _default(
             fit.phase.stiffness,
             fit.noise_factor,
             extent.defect_density,
+            fit.geometry.altitude_middle / fit.geometry.range_middle,
+            fit.geometry.altitude_middle,
+            fit.geometry.altitude_sd,
         ),
         None if image_of is None else image_of.amplitude,
         None if image_of is None else image_of.relief,
@@ -203,11 +204,7 @@ def _sampled(
     proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks])
     particles, proposal = population(log_density, proposal, rng)
     states = particles[rng.permutation(len(particles))[: settings.chains]]
-    first = metropolis_hastings(log_density, proposal, particles, states, ROUND, rng)
-    if first.accepted < LEARNED:  # it was burn-in: the proposal is learned anew from it
-        seen = first.draws[:, ROUND // 4 :].reshape(-1, sampled.size)
-        particles = seen[rng.permutation(len(seen))]
-        proposal = fit_proposal(particles, len(particles) * INDEPENDENT)
+    proposal, particles, states = adapted(log_density, proposal, particles, states, rng)
 
     def told(draws: FloatArray) -> bool:
         points = whole(draws)
@@ -215,7 +212,7 @@ def _sampled(
         return converged(points[..., 0]) and converged(heights.reshape(points.shape[:2]))
 
     rounds: list[FloatArray] = []
-    states, accepted, kept, done = first.draws[:, -1], 0.0, 0, False
+    accepted, kept, done = 0.0, 0, False
     while kept < settings.draws and not done:
         steps = min(max(ROUND, kept // 2), settings.draws - kept)
         chains = metropolis_hastings(log_density, proposal, particles, states, steps, rng)

@@ -82,6 +82,8 @@ class Shape:
         Variance of the speckle over that of independent pixels.
     defect_density : float
         Places a square metre where crests split or end.
+    tangent, altitude, altitude_sd : float
+        Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
     """
 
     coherence_length: float
@@ -89,6 +91,9 @@ class Shape:
     stiffness: float
     noise_factor: float
     defect_density: float
+    tangent: float = 1.0
+    altitude: float = 1.0
+    altitude_sd: float = 0.0
 
 
 def axial(degrees: FloatArray) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
 from sasmap.ripples.mixture import fit_mixture
@@ -15,6 +16,9 @@ from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
 NAN = float("nan")
 LAW = ("exponent", "concentration", "peakedness", "asymmetry")
 Numbers = tuple[float, ...]
+FloatArray = NDArray[np.float64]
+# Least contrast per slope: a law that grows with grazing angle has more.
+LEAST_CONTRAST = 0.05
 
 
 @dataclass(frozen=True)
@@ -32,8 +36,9 @@ class Summary:
     azimuth : tuple of float
         Axial mean and standard deviation of the crest normal's, degrees clockwise from grid north.
     mixture : tuple of tuple of float
-        Gaussian mixture of (f, A_H, azimuth in degrees): of each component its weight, mean and
-        covariance by rows. Empty without ripples.
+        Gaussian mixture of log f, log contrast, azimuth in degrees, and exponent and concentration
+        of the law; of log f, log A_H and azimuth where the law is fixed: of each component its
+        weight, mean and covariance by rows. Empty without ripples.
     probability : float
         That the cell is rippled.
     coherence_length : float
@@ -47,6 +52,10 @@ class Summary:
         Places a square metre of rippled floor where crests split or end.
     reason : str
         Why the look cannot tell whether there are ripples, in words; empty where it can.
+    tangent, altitude : float
+        Of the grazing angle, and of the sonar, m, at the clip's middle.
+    altitude_gain, altitude_sd : float
+        Change of log A_H with log altitude; accuracy of the altitude, m.
     """
 
     quality: Quality
@@ -74,6 +83,10 @@ class Summary:
     asymmetry: float = NAN
     defect_density: float = NAN
     reason: str = ""
+    tangent: float = 1.0
+    altitude: float = 1.0
+    altitude_gain: float = 0.0
+    altitude_sd: float = 0.0
 
     @property
     def density(self) -> Mixture | None:
@@ -81,7 +94,9 @@ class Summary:
         if not self.mixture:
             return None
         rows = np.array(self.mixture)
-        return Mixture(rows[:, 0], rows[:, 1:4], rows[:, 4:].reshape(-1, 3, 3))
+        size = 5 if rows.shape[1] == 31 else 3
+        square = rows[:, size + 1 :].reshape(-1, size, size)
+        return Mixture(rows[:, 0], rows[:, 1 : size + 1], square)
 
 
 def summarise(posterior: Posterior) -> Summary:
@@ -130,14 +145,51 @@ def summarise(posterior: Posterior) -> Summary:
 def _mixture(posterior: Posterior) -> tuple[Numbers, ...]:
     if "azimuth" not in posterior.draws:
         return ()
-    draws = [posterior.draws[name].values.ravel() for name in JUDGED]
-    turn = posterior.azimuth[0] - draws[2]  # about the axial mean, which is from 0 to 180
-    draws[2] = posterior.azimuth[0] - (turn - 180 * np.rint(turn / 180))
-    fitted = fit_mixture(np.stack(draws, axis=1))
+    draws = posterior.draws
+    azimuth = draws["azimuth"].values.ravel()
+    turn = posterior.azimuth[0] - azimuth  # about the axial mean, which is from 0 to 180
+    columns = [
+        np.log(draws["frequency"].values.ravel()),
+        np.log(draws["height"].values.ravel()),
+        posterior.azimuth[0] - (turn - 180 * np.rint(turn / 180)),
+    ]
+    law = [draws[name].values.ravel() for name in LAW[:2]]
+    if min(np.ptp(v) for v in law) > 0:
+        assert posterior.shape is not None
+        columns[1] = columns[1] + log_contrast(np.stack(law, axis=-1), posterior.shape.tangent)
+        columns += law
+    fitted = fit_mixture(np.stack(columns, axis=1))
     return tuple(
         (float(w), *(float(v) for v in m), *(float(v) for v in c.ravel()))
         for w, m, c in zip(*fitted, strict=True)
     )
+
+
+def log_contrast(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
+    """Log of the relative change of intensity with slope, to first order.
+
+    Parameters
+    ----------
+    law : ndarray (..., 2)
+        n and c.
+    tangent : ndarray or float
+        Of the grazing angle; broadcasts against the law's leading axes.
+
+    Returns
+    -------
+    ndarray (...)
+        As :func:`sasmap.ripples.rendering.contrast_per_slope`.
+    """
+    n, c = law[..., 0], law[..., 1]
+    per_slope = n / tangent + 2 * c * (0.5 * np.pi - np.arctan(tangent)) + tangent
+    return np.asarray(np.log(np.maximum(per_slope, LEAST_CONTRAST)))
+
+
+def contrast_slopes(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
+    """Differentiate :func:`log_contrast` by n and c (..., 2)."""
+    per_slope = np.exp(log_contrast(law, tangent))
+    each = np.broadcast_arrays(1 / tangent, 2 * (0.5 * np.pi - np.arctan(tangent)))
+    return np.asarray(np.stack(each, axis=-1) / per_slope[..., None])
 
 
 def _law(posterior: Posterior) -> dict[str, Any]:
@@ -158,7 +210,21 @@ def _shape(posterior: Posterior) -> dict[str, Any]:
         "rippled_fraction": shape.rippled_fraction,
         "noise_factor": shape.noise_factor,
         "defect_density": shape.defect_density,
+        "tangent": shape.tangent,
+        "altitude": shape.altitude,
+        "altitude_sd": shape.altitude_sd,
+        "altitude_gain": _altitude_gain(posterior),
     }
+
+
+def _altitude_gain(posterior: Posterior) -> float:
+    """Change of log A_H with log altitude: the slope over the draws."""
+    scale = np.log(posterior.draws["altitude_scale"].values.ravel())
+    height = np.log(posterior.draws["height"].values.ravel())
+    variance = float(scale.var())
+    if variance < 1e-16:
+        return 0.0
+    return float(((scale - scale.mean()) * (height - height.mean())).mean() / variance)
 
 
 def _triple(values: Mapping[str, float]) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 import time
@@ -18,6 +19,7 @@ from sasmap.io.files import write_text
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
+from sasmap.ripples.survey import SurveyModel
 from sasmap.run.plan import Plan
 from sasmap.run.store import Store, code_version
 
@@ -29,6 +31,7 @@ class Outcome:
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
     fused: dict[tuple[int, int], FusedCell] = field(default_factory=dict)
+    survey: SurveyModel | None = None
     keys: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
     sediments: list[dict[str, Any]] = field(default_factory=list)
     histograms: list[dict[str, list[float]]] = field(default_factory=list)
@@ -62,6 +65,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
             "cell_size_m": plan.opened.grid.size,
         },
         "cells_by_quality": outcome.counts(),
+        "scattering_law": law_record(outcome.survey),
         "looks_computed": outcome.computed,
         "looks_kept_from_earlier_runs": outcome.kept,
         "sediment_classes": outcome.sediments,
@@ -73,6 +77,29 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
     }
     write_text(path, json.dumps(content, indent=2) + "\n", store.scratch)
     return path
+
+
+def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
+    """Tell the survey's scattering law and what else its looks share, with 5 and 95 % quantiles."""
+    if survey is None or not survey.values:
+        return None
+    quantiles = survey.quantiles()
+    low, middle, high = (quantiles["law"][i] for i in range(3))
+    spread = quantiles["spread"][1]
+    names = ("exponent", "concentration")
+    law = {
+        name: {"median": middle[i], "q05": low[i], "q95": high[i], "spread": spread[i]}
+        for i, name in enumerate(names)
+    }
+    return {
+        "form": "intensity = sin(grazing)^exponent exp(-concentration (grazing - pi/2)^2)",
+        "learned": survey.learned,
+        **(law if survey.learned else {}),
+        "lambert": {"exponent": 2.0, "concentration": 0.0},
+        "zare_cobb": {"exponent": 0.0, "concentration": 3 / math.pi},
+        "altitude_offset_m": [list(q) for q in quantiles["offset"].T],
+        "scatter_between_passes": list(quantiles["scatter"][1]),
+    }
 
 
 def left_out_counts(outcome: Outcome) -> Iterator[str]:

@@ -17,7 +17,7 @@ from sasmap.products.model import Mosaic
 from sasmap.products.qgis import categories, write_styles
 from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
 from sasmap.products.stac import write_stac
-from sasmap.ripples.fusion import fuse
+from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.run.cost import check_fits
@@ -185,7 +185,10 @@ def _estimate_cells(
                 outcome.failures.append(_failure(cell, plan.swaths[k], result.fault))
         outcome.cells[cell.row, cell.column] = summaries
         outcome.keys[cell.row, cell.column] = keys
-        outcome.fused[cell.row, cell.column] = fuse(summaries, settings)
+    every = list(outcome.cells.values())
+    outcome.survey = learn_survey(every, settings, plan.settings.seed)
+    fused = fuse_cells(every, settings, outcome.survey)
+    outcome.fused = dict(zip(outcome.cells, fused, strict=True))
 
 
 def _failure(cell: Cell, look: Swath, fault: str) -> dict[str, Any]:
