@@ -39,11 +39,19 @@ def found_in(clip):
 
 @pytest.mark.parametrize("turn", [-1.2, -0.5, 0.0, 0.8])
 def test_weak_ripples_are_found_whatever_their_direction(turn):
-    posterior = estimate(image(wave(turn, 0.1)), RippleSettings(draws=100), rng=1)
+    found = found_in(image(wave(turn, 0.1)))
+    assert found.probability > 0.9
+    east, north = found.waves[0].vector
+    assert abs(np.hypot(east, north) / (8 / (300 * 0.05)) - 1) < 0.05
+    assert abs((np.arctan2(-north, east) - turn + np.pi / 2) % np.pi - np.pi / 2) < 0.05
+
+
+def test_what_is_found_is_estimated():
+    posterior = estimate(image(wave(-0.5, 0.1)), RippleSettings(draws=100), rng=1)
     assert posterior.probability > 0.9
     assert posterior.sampled
-    known = 8 / (300 * 0.05)
-    assert abs(float(posterior.mean.frequency) / known - 1) < 0.05
+    assert abs(float(posterior.mean.frequency) / (8 / (300 * 0.05)) - 1) < 0.05
+    assert (posterior.rippled > 0.5).mean() > 0.9
 
 
 def test_probability_grows_with_contrast():
