@@ -32,6 +32,7 @@ SINGLE_UNITS = {
     "rippled_fraction": "1",
     "noise_factor": "1",
     "defect_density": "m-2",
+    "window": "1",
     "exponent": "1",
     "exponent_sd": "1",
     "concentration": "1",

@@ -52,6 +52,8 @@ class Summary:
         Places a square metre of rippled floor where crests split or end.
     reason : str
         Why the look cannot tell whether there are ripples, in words; empty where it can.
+    window : float
+        Side of the area that was estimated, cells: more than 1 where a wave is too long for one.
     tangent, altitude : float
         Of the grazing angle, and of the sonar, m, at the clip's middle.
     altitude_gain, altitude_sd : float
@@ -83,6 +85,7 @@ class Summary:
     asymmetry: float = NAN
     defect_density: float = NAN
     reason: str = ""
+    window: float = 1.0
     tangent: float = 1.0
     altitude: float = 1.0
     altitude_gain: float = 0.0
