@@ -7,6 +7,8 @@ from affine import Affine
 
 import sasmap
 from sasmap.run.pipeline import run_survey
+from sasmap.run.plan import make_plan
+from sasmap.run.suggestion import describe_window
 from tests.helpers import small_survey, write_tile
 
 WINDOW, PIXEL, WAVELENGTH = 120, 0.05, 50  # pixels: 2.4 waves a cell
@@ -38,6 +40,15 @@ def test_long_waves_are_estimated_in_a_wider_window(found):
     assert wide.sum() >= 2
     known = np.hypot(1, 0.2) / (WAVELENGTH * PIXEL)
     np.testing.assert_allclose(frequency[wide], known, rtol=0.02)
+
+
+def test_the_plan_suggests_a_window_that_holds_eight_waves(found):
+    plan = make_plan(sasmap.load_survey(found[0].parent / "survey.yaml"))
+    (line,) = describe_window(plan)
+    eight = 8 * WAVELENGTH / np.hypot(1, 0.2)
+    wanted = int(line.split(" px hold eight")[0].split()[-1])
+    assert abs(wanted / eight - 1) < 0.1
+    assert f"{WINDOW} px hold 2.4" in line
 
 
 def test_wider_estimates_are_kept(found):
