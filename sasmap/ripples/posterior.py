@@ -82,6 +82,8 @@ class Shape:
         Variance of the speckle over that of independent pixels.
     tangent, altitude, altitude_sd : float
         Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
+    centre : tuple of float
+        Map position (east, north) of the clip's centre, m, at which `phase` is told.
     """
 
     coherence_length: float
@@ -91,6 +93,7 @@ class Shape:
     tangent: float = 1.0
     altitude: float = 1.0
     altitude_sd: float = 0.0
+    centre: tuple[float, float] = (float("nan"), float("nan"))
 
 
 def axial(degrees: FloatArray) -> tuple[float, float]:

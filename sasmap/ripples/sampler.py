@@ -263,7 +263,9 @@ def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
     floor = np.full(z.shape[1], FLOOR)
-    mixture, _, level = expectation_maximisation(z, share.astype(float), floor, EM_ROUNDS, EM_ENOUGH)
+    mixture, _, level = expectation_maximisation(
+        z, share.astype(float), floor, EM_ROUNDS, EM_ENOUGH
+    )
     return mixture, level
 
 
