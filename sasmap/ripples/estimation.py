@@ -155,6 +155,7 @@ def _default(
             fit.geometry.altitude_middle / fit.geometry.range_middle,
             fit.geometry.altitude_middle,
             fit.geometry.altitude_sd,
+            (float(image.centre[0]), float(image.centre[1])),
         ),
         None if image_of is None else image_of.amplitude,
         None if image_of is None else image_of.relief,
@@ -235,13 +236,18 @@ def _labelled(points: FloatArray, fit: Fit, image: Image, rng: np.random.Generat
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
     along = fit.geometry.along + named.pop("wave_offset")
+    cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
     if not fit.phase.rigid:
-        along = along + sd[0] * rng.standard_normal(shape) + _lag_slopes(points, fit)
+        slope, lag = _lags(points, fit)
+        along = along + sd[0] * rng.standard_normal(shape) + slope
+        cycles = cycles + lag
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
-    azimuth -= 180.0 * np.floor(azimuth.mean() / 180.0)
+    turns = np.floor(azimuth.mean() / 180.0)
+    # the same crests, counted along the opposite direction
+    named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     named["height"] = named["height"] * np.exp(_height_error(fit) * rng.standard_normal(shape))
-    named["phase"] %= 2 * np.pi
-    return dataset({"frequency": np.hypot(along, across), "azimuth": azimuth, **named})
+    frequency = np.hypot(along, across)
+    return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
 
 
 def _height_error(fit: Fit) -> float:
@@ -254,20 +260,23 @@ def _height_error(fit: Fit) -> float:
     return float(np.hypot(error, MISFIT * max(np.log(fit.noise_factor / SPECKLE), 0.0)))
 
 
-def _lag_slopes(points: FloatArray, fit: Fit) -> FloatArray:
-    """Tell what shadow and lean make of the slope of the image's phase, cycles/m, for each draw.
+def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Tell what shadow and lean make of the image's phase, for each draw.
 
-    Learned from some draws: it is nearly linear in the sampling coordinates.
+    Its slope over range, cycles/m, and its mean, cycles. Learned from some draws: both are nearly
+    linear in the sampling coordinates.
     """
     every = points.reshape(-1, COORDINATES)
     some = every[:: max(len(every) // LAG_DRAWS, 1)]
     pixels = fit.data.pixel_count.sum(axis=1)
     place = fit.data.place - np.average(fit.data.place, weights=pixels)
     weight = pixels * place / max(float((pixels * place**2).sum()), 1e-12)
-    slopes = [weight @ np.unwrap(pulses_at(fit, z)[1]) / (2 * np.pi) for z in some]
+    lags = np.array([np.unwrap(pulses_at(fit, z)[1]) for z in some]) / (2 * np.pi)
+    told = np.stack([lags @ weight, lags @ pixels / pixels.sum()], axis=1)
     design = np.column_stack([some, np.ones(len(some))])
-    line = np.linalg.lstsq(design, np.array(slopes), rcond=None)[0]
-    return np.asarray((every @ line[:-1] + line[-1]).reshape(points.shape[:2]))
+    line = np.linalg.lstsq(design, told, rcond=None)[0]
+    slope, mean = (every @ line[:-1] + line[-1]).T.reshape(2, *points.shape[:2])
+    return slope, mean
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:

@@ -95,6 +95,10 @@ class FusedCell:
     group : tuple of int
         Looks that stand for the cell.
     final : CellEstimate
+    migration : tuple of (float, float)
+        How far the crests of each look lie from those of the first of the group, m along the
+        azimuth from 0 to 180 degrees, and its standard deviation; known up to whole wavelengths.
+        NaN for looks outside the group.
     quality : Quality
     qualities : tuple of Quality
         Of each look; one that disagrees with the cell's group, and all where no majority agrees,
@@ -106,6 +110,7 @@ class FusedCell:
     disagreements: tuple[float, ...]
     group: tuple[int, ...]
     final: CellEstimate
+    migration: tuple[tuple[float, float], ...]
     quality: Quality
     qualities: tuple[Quality, ...]
 
@@ -221,9 +226,55 @@ def _assembled(
         tuple(apart),
         group,
         final,
+        migrations(summaries, group, final),
         quality,
         qualities,
     )
+
+
+def migrations(
+    summaries: Sequence[Summary | None], group: tuple[int, ...], final: CellEstimate
+) -> tuple[tuple[float, float], ...]:
+    """Distance of the crests of looks from those of the first of their group.
+
+    Parameters
+    ----------
+    summaries : sequence of Summary or None
+    group : tuple of int
+        Looks that agree in f, A_H and azimuth.
+    final : CellEstimate
+        What they know together.
+
+    Returns
+    -------
+    tuple of (float, float)
+        m along the azimuth from 0 to 180 degrees, from minus half to half a wavelength, and its
+        standard deviation, of each look.
+    """
+    nothing = (NAN, NAN)
+    if not group or not np.isfinite(final.mean[0]):
+        return (nothing,) * len(summaries)
+    turn = np.radians(final.azimuth[0])
+    normal = np.array([np.sin(turn), np.cos(turn)])
+    frequency = final.mean[0]
+    first = summaries[group[0]]
+    found = [nothing] * len(summaries)
+    for k in group:
+        summary = summaries[k]
+        assert summary is not None
+        assert first is not None
+        apart = np.subtract(first.centre, summary.centre)
+        (before, before_sd), (now, now_sd) = first.crest_phase, summary.crest_phase
+        moved = before - now - frequency * float(normal @ apart)
+        across = np.array([normal[1], -normal[0]])
+        carried = np.hypot(
+            final.sd[0] * (normal @ apart),
+            frequency * np.radians(final.azimuth[1]) * (across @ apart),
+        )
+        if np.isfinite(moved):
+            sd = 0.0 if k == group[0] else float(np.sqrt(before_sd**2 + now_sd**2 + carried**2))
+            found[k] = (moved - round(moved)) / frequency, sd / frequency
+    return tuple(found)
 
 
 def _judged(
@@ -538,7 +589,10 @@ def _published(summaries: Sequence[Summary | None], settings: RippleSettings) ->
     group = () if failed or last is None else (last,)
     final = UNKNOWN if failed else posteriors[-1]
     qualities = tuple(Quality.NO_DATA if s is None else s.quality for s in summaries)
-    return FusedCell(tuple(priors), tuple(posteriors), nothing, group, final, quality, qualities)
+    still = ((NAN, NAN),) * len(summaries)
+    return FusedCell(
+        tuple(priors), tuple(posteriors), nothing, group, final, still, quality, qualities
+    )
 
 
 def cell_quality(qualities: Sequence[Quality]) -> Quality:

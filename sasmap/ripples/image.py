@@ -43,6 +43,8 @@ class Image:
         Mean look, degrees clockwise from grid north.
     rms : float
         Root of what `power` was divided by, in units of the amplitude.
+    centre : ndarray (2,)
+        Map position (east, north) of the lattice's centre, m.
     jitter : float
         How far pixels lie from the lattice, pixels (standard deviation).
     """
@@ -55,6 +57,7 @@ class Image:
     steps: FloatArray
     azimuth: float
     rms: float
+    centre: FloatArray
     jitter: float = 0.0
 
     @property
@@ -150,7 +153,8 @@ def as_image(clip: Clip) -> Image:
     bend = _bend(clip, valid, steps, first) / clip.pixel_size
     if bend <= MAX_BEND and abs(np.linalg.det(steps)) > 0:
         places = clip.ground_range, clip.altitude, steps
-        return Image(wide, valid, saturated, *places, azimuth, mean, 0.5 * bend)
+        centre = first + steps @ (np.array(wide.shape[::-1]) - 1) / 2
+        return Image(wide, valid, saturated, *places, azimuth, mean, centre, 0.5 * bend)
     return _summed(clip, wide, valid, saturated, azimuth, mean)
 
 
@@ -224,6 +228,7 @@ def _summed(
         np.array([[size, 0.0], [0.0, -size]]),
         azimuth,
         mean,
+        np.array([x.min() + 0.5 * size * (shape[1] - 1), y.max() - 0.5 * size * (shape[0] - 1)]),
         ROUNDED,
     )
 

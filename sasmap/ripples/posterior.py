@@ -84,6 +84,8 @@ class Shape:
         Places a square metre where crests split or end.
     tangent, altitude, altitude_sd : float
         Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
+    centre : tuple of float
+        Map position (east, north) of the clip's centre, m, at which `phase` is told.
     """
 
     coherence_length: float
@@ -94,6 +96,7 @@ class Shape:
     tangent: float = 1.0
     altitude: float = 1.0
     altitude_sd: float = 0.0
+    centre: tuple[float, float] = (float("nan"), float("nan"))
 
 
 def axial(degrees: FloatArray) -> tuple[float, float]:

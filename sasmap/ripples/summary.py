@@ -58,6 +58,11 @@ class Summary:
         Of the grazing angle, and of the sonar, m, at the clip's middle.
     altitude_gain, altitude_sd : float
         Change of log A_H with log altitude; accuracy of the altitude, m.
+    crest_phase : tuple of float
+        Phase of the ripple at `centre`, cycles along the crest normal's azimuth from 0 to 180
+        degrees (h is A_H sin of 2 pi times it), and its circular standard deviation.
+    centre : tuple of float
+        Map position (east, north) of the clip's centre, m.
     """
 
     quality: Quality
@@ -90,6 +95,8 @@ class Summary:
     altitude: float = 1.0
     altitude_gain: float = 0.0
     altitude_sd: float = 0.0
+    crest_phase: tuple[float, float] = (NAN, NAN)
+    centre: tuple[float, float] = (NAN, NAN)
 
     @property
     def density(self) -> Mixture | None:
@@ -217,7 +224,16 @@ def _shape(posterior: Posterior) -> dict[str, Any]:
         "altitude": shape.altitude,
         "altitude_sd": shape.altitude_sd,
         "altitude_gain": _altitude_gain(posterior),
+        "crest_phase": _crest_phase(posterior),
+        "centre": shape.centre,
     }
+
+
+def _crest_phase(posterior: Posterior) -> tuple[float, float]:
+    """Circular mean and standard deviation of the phase, cycles."""
+    mean = np.exp(1j * posterior.draws["phase"].values).mean()
+    sd = np.sqrt(-2 * np.log(min(abs(mean), 1.0)))
+    return float(np.angle(mean) / (2 * np.pi) % 1.0), float(sd / (2 * np.pi))
 
 
 def _altitude_gain(posterior: Posterior) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import shapely
 
 from sasmap.errors import InputError
@@ -19,6 +20,10 @@ from sasmap.survey.opening import OpenSurvey, check_kept, open_survey
 from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
 from sasmap.survey.tiles import Tile, hash_file
 from sasmap.survey.training import Training, check_shown, read_training
+
+# Grazing angle, degrees, below which ripples of crest to trough over wavelength 0.11 (slope 0.35)
+# cast shadow; difference of grazing angles that tells the law by contrast alone.
+SHADOW_GRAZING, APART = 19.0, 10.0
 
 
 class Swath(NamedTuple):
@@ -163,6 +168,31 @@ def _left_out(survey: Survey) -> Iterator[str]:
         yield "sediments: the survey file has no sediments block"
 
 
+def _law_told(plan: Plan) -> str:
+    """Tell which cells can be expected to tell the scattering law from A_H."""
+    grid = plan.opened.grid
+    cells = list(plan.cells)
+    bounds = np.array([grid.bounds(cell) for cell in cells])
+    x, y = bounds[:, [0, 2]].mean(axis=1), bounds[:, [1, 3]].mean(axis=1)
+    grazing = np.full((len(plan.swaths), len(cells)), np.nan)
+    for k, swath in enumerate(plan.swaths):
+        seen = swath.sonar_pass.track.locate(x, y)
+        shown = np.array([k in plan.cells[cell] for cell in cells])
+        angle = np.degrees(np.arctan2(seen.altitude, seen.distance))
+        grazing[k] = np.where(shown, angle, np.nan)
+    low = np.nanmin(np.where(np.isnan(grazing), np.inf, grazing), axis=0)
+    high = np.nanmax(np.where(np.isnan(grazing), -np.inf, grazing), axis=0)
+    shadowed = int((low < SHADOW_GRAZING).sum())
+    several = int((high - low > APART).sum())
+    told = (
+        f"{shadowed} of {len(cells)} cells are seen below {SHADOW_GRAZING:.0f} degrees, where "
+        f"common ripples cast shadow, {several} at grazing angles {APART:.0f} degrees apart"
+    )
+    if shadowed or several:
+        return f"{told}: these can fix it for all"
+    return f"{told}: nothing may tell it from A_H, whose intervals would then be wide"
+
+
 def _classes_told(plan: Plan) -> str:
     """Where the sediment classes come from."""
     settings = plan.settings.sediments
@@ -200,6 +230,8 @@ def describe(plan: Plan) -> Iterable[str]:
     if plan.settings.ripples is not None:
         method = plan.settings.ripples.method
         yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+        if method == "default" and plan.settings.ripples.scattering == "estimated":
+            yield f"scattering law: {_law_told(plan)}"
     if plan.settings.sediments is not None:
         yield f"sediments: {_classes_told(plan)}"
     shown = Counter(len(k) for k in plan.cells.values())

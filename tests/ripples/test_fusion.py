@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -137,6 +139,33 @@ def test_looks_without_ripples_or_failed():
     failed = fuse([look(), Summary(Quality.FAILED, LeftOut(0))], SETTINGS)
     assert failed.final is UNKNOWN
     assert failed.quality is Quality.FAILED
+
+
+def test_crests_that_moved_between_passes_are_told_in_metres():
+    f, moved = 0.6, 0.31
+    normal = np.array([np.sin(np.radians(40)), np.cos(np.radians(40))])
+    centres = (np.array([100.0, 200.0]), np.array([101.3, 199.2]))
+    phases = (0.8, (0.8 + f * normal @ (centres[1] - centres[0]) - f * moved) % 1.0)
+    looks = [
+        replace(look(azimuth=(40.0, 0.05)), crest_phase=(phase, 0.004), centre=tuple(centre))
+        for phase, centre in zip(phases, centres, strict=True)
+    ]
+    cell = fuse(looks, SETTINGS)
+    assert cell.quality is Quality.GOOD
+    assert cell.migration[0] == (0.0, 0.0)
+    assert cell.migration[1][0] == pytest.approx(moved, abs=0.01)
+    assert 0.004 / f < cell.migration[1][1] < 0.05
+    back = fuse(looks[::-1], SETTINGS)
+    assert back.migration[1][0] == pytest.approx(-moved, abs=0.01)
+
+
+@pytest.mark.parametrize("off", [25.0, -40.0])
+def test_the_phase_of_crests_is_that_of_the_map(off):
+    for seed, phase in ((1, 0.5), (2, 4.0)):
+        made = coherent(seed, height=0.05, phase=phase, azimuth_off_look=off)
+        found = summarise(estimate(made.clip, rng=1))
+        apart = (2 * np.pi * found.crest_phase[0] - phase + np.pi) % (2 * np.pi) - np.pi
+        assert abs(apart) < 0.1
 
 
 def test_cells_together_are_as_each_alone():
