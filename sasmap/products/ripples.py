@@ -235,6 +235,12 @@ def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
         for k, parameter in enumerate(JUDGED):
             field = _field(cells, shape, lambda s, n=name, i=k: getattr(s, n)[i])
             variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": "1"})
+    units = {"frequency": "cycles/m", "height": "m", "azimuth": "degrees"}
+    for k, parameter in enumerate(JUDGED):
+        for name in ("mean", "sd"):
+            field = _field(cells, shape, lambda s, n=f"second_{name}", i=k: getattr(s, n)[i])
+            about = {"units": units[parameter], "long_name": "of a second system of ripples"}
+            variables[f"{parameter}_second_{name}"] = (_DIMS, field, about)
     for name, unit in SINGLE_UNITS.items():
         field = _field(cells, shape, lambda s, n=name: getattr(s, n))
         variables[name] = (_DIMS, field, {"units": unit})

@@ -70,12 +70,15 @@ class Wave(NamedTuple):
         Wavelengths along its normal that it extends over.
     energy : float
         Power of its cells, over all pixels of the clip.
+    whole : bool
+        Whether the spectrum of the whole clip shows it, not only a part's.
     """
 
     vector: FloatArray
     evidence: float
     extent: float
     energy: float
+    whole: bool
 
     @property
     def probability(self) -> float:
@@ -156,7 +159,8 @@ def _wave(image: Image, flat: FloatArray, peak: Peak) -> Wave:
     seen = look_at(*places, peak.per_pixel)
     contrast = seen.contrast * np.sqrt(peak.above)  # the rest is texture
     strong = _ramp(contrast, *STRONG) * _ramp(seen.extent, *WIDE) * _ramp(-peak.waves, *MANY)
-    trials = PART_TRIALS if places[0].size < flat.size else 0.0
+    whole = places[0].size == flat.size
+    trials = 0.0 if whole else PART_TRIALS
     evidence = min(
         peak.evidence - PRIOR - trials + STRENGTH * strong,
         PER_WAVE * (seen.extent - MIN_EXTENT),
@@ -165,7 +169,7 @@ def _wave(image: Image, flat: FloatArray, peak: Peak) -> Wave:
     if evidence > 0:
         thing = objectness(flat, image.valid, peak.per_pixel)
         evidence = min(evidence, OBJECT * (1 - thing))
-    return Wave(image.per_metre(peak.per_pixel), evidence, seen.extent, peak.energy)
+    return Wave(image.per_metre(peak.per_pixel), evidence, seen.extent, peak.energy, whole)
 
 
 def _ramp(value: float, low: float, high: float) -> float:

@@ -50,6 +50,10 @@ NEGLIGIBLE = 15.0
 LAG_DRAWS = 60
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
+# Cosine of the angle between crests from which those of another system run; log of the ratio of
+# wavelengths from which those of one direction are two; cosine above which a whole ratio is an
+# overtone.
+ANOTHER, LONGER, OVERTONE = 0.87, 0.4, 0.95
 # Share of the strongest wave's energy from which its half or double is tried as well.
 RIVAL = 0.25
 
@@ -139,6 +143,7 @@ def _default(
     draws = _labelled(points, fit, image, rng)
     image_of = modelled(clip, image, fit, points) if settings.keep_model else None
     extent = ripple_extent(image, fit.phase.wave)
+    other = second_system(found.waves, fit.phase.wave)
     return Posterior(
         _judged(draws, done, image),
         prior,
@@ -161,7 +166,15 @@ def _default(
         None if image_of is None else image_of.relief,
         rippled=on_clip(clip, image, extent.probability),
         reference=(*(float(v) for v in fit.phase.wave), extent.own),
+        second=xr.Dataset() if other is None else _draws_of(task, other, rng),
     )
+
+
+def _draws_of(task: Task, wave: Wave, rng: np.random.Generator) -> xr.Dataset:
+    """Estimate a wave of a clip whose first system is estimated already."""
+    fit = fit_wave(task, wave.vector)
+    points, _, _ = _sampled(fit, task.settings, rng)
+    return _labelled(points, fit, task.image, rng)
 
 
 def _candidates(waves: list[Wave]) -> list[Wave]:
@@ -172,6 +185,32 @@ def _candidates(waves: list[Wave]) -> list[Wave]:
     first = max(passed, key=lambda w: w.energy)
     others = [w for w in passed if w.energy > RIVAL * first.energy and _harmonic(w, first)]
     return [first, *others[:1]]
+
+
+def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
+    """Return the likeliest wave of another system than the first, if there is one.
+
+    Parameters
+    ----------
+    waves : list of Wave
+        The likeliest first.
+    first : ndarray (2,)
+        Wave vector (east, north) of the first system, cycles/m.
+
+    Returns
+    -------
+    Wave or None
+        Of the whole clip (waves of its parts are the first one's that bends), in another direction,
+        and in the same one at another wavelength that is no harmonic.
+    """
+    for wave in waves:
+        ratio = float(np.hypot(*wave.vector) / np.hypot(*first))
+        cosine = float(abs(wave.vector @ first) / (np.hypot(*wave.vector) * np.hypot(*first)))
+        overtone = cosine > OVERTONE and abs(ratio - round(ratio)) < 0.1 * ratio
+        other = cosine < ANOTHER or (abs(np.log(ratio)) > LONGER and not overtone)
+        if wave.whole and wave.probability > PRESENT and other:
+            return wave
+    return None
 
 
 def _harmonic(wave: Wave, first: Wave) -> bool:

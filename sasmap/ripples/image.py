@@ -209,7 +209,8 @@ def _summed(
 ) -> Image:
     """Average pixels onto a north-up lattice."""
     size = clip.pixel_size
-    row, column = _places(clip.x[valid], clip.y[valid], size)
+    x, y = clip.x[valid], clip.y[valid]
+    row, column = _places(x, y, size)
     shape = (int(row.max()) + 1, int(column.max()) + 1)
     index = row * shape[1] + column
     count = np.bincount(index, minlength=shape[0] * shape[1])

@@ -149,6 +149,8 @@ class Posterior:
     rippled : ndarray (rows, columns) or None
         Probability that a pixel lies on rippled floor, NaN where the clip shows nothing; None
         without draws.
+    second : Dataset (chain, draw)
+        As `draws`, of a second system of ripples; empty where the evidence asks for none.
     reference : tuple of float
         What `rippled` was told by: wave vector (east, north), cycles/m, and
         :attr:`sasmap.ripples.extent.Extent.own`. Empty without draws.
@@ -166,6 +168,7 @@ class Posterior:
     reason: str = ""
     rippled: FloatArray | None = None
     reference: tuple[float, ...] = ()
+    second: xr.Dataset = field(default_factory=xr.Dataset)
 
     @property
     def sampled(self) -> bool:

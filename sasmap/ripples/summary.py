@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
 from sasmap.ripples.mixture import fit_mixture
-from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
+from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality, axial
 
 NAN = float("nan")
 LAW = ("exponent", "concentration", "peakedness", "asymmetry")
@@ -52,6 +52,8 @@ class Summary:
         Places a square metre of rippled floor where crests split or end.
     reason : str
         Why the look cannot tell whether there are ripples, in words; empty where it can.
+    second_mean, second_sd : tuple of float
+        Of f (cycles/m), A_H (m) and the azimuth (degrees) of a second system of ripples.
     window : float
         Side of the area that was estimated, cells: more than 1 where a wave is too long for one.
     tangent, altitude : float
@@ -90,6 +92,8 @@ class Summary:
     asymmetry: float = NAN
     defect_density: float = NAN
     reason: str = ""
+    second_mean: tuple[float, float, float] = (NAN, NAN, NAN)
+    second_sd: tuple[float, float, float] = (NAN, NAN, NAN)
     window: float = 1.0
     tangent: float = 1.0
     altitude: float = 1.0
@@ -147,6 +151,7 @@ def summarise(posterior: Posterior) -> Summary:
         azimuth=posterior.azimuth,
         mixture=_mixture(posterior),
         probability=posterior.probability,
+        **_second(posterior),
         **_shape(posterior),
         **_law(posterior),
     )
@@ -209,6 +214,18 @@ def _law(posterior: Posterior) -> dict[str, Any]:
     mean, sd = posterior.mean, posterior.sd
     found = {name: float(mean[name]) for name in LAW}
     return found | {f"{name}_sd": float(sd[name]) for name in LAW[:2]}
+
+
+def _second(posterior: Posterior) -> dict[str, Any]:
+    """Means and standard deviations of a second system of ripples, where there is one."""
+    draws = posterior.second
+    if not draws.sizes:
+        return {}
+    (f, f_sd), (height, height_sd) = (
+        (float(draws[name].mean()), float(draws[name].std(ddof=1))) for name in JUDGED[:2]
+    )
+    azimuth, azimuth_sd = axial(draws["azimuth"].values)
+    return {"second_mean": (f, height, azimuth), "second_sd": (f_sd, height_sd, azimuth_sd)}
 
 
 def _shape(posterior: Posterior) -> dict[str, Any]:

@@ -3,10 +3,12 @@ import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from sasmap.ripples import RippleSettings, estimate
-from sasmap.ripples.detection import Unclear, find_waves
+from sasmap.ripples.detection import Unclear, Wave, find_waves
+from sasmap.ripples.estimation import second_system
 from sasmap.ripples.image import as_image
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.spectra import flattened
+from sasmap.ripples.summary import summarise
 from tests.helpers import clip_of
 
 BOUNDS = (0.05, 5.0)
@@ -181,3 +183,32 @@ def test_gains_of_pings_are_taken_off_whatever_the_heading():
     )
     flat, _ = flattened(as_image(turned))
     assert np.abs(flat.mean(axis=0)).max() < 0.02
+
+
+def test_a_second_system_is_estimated_and_does_not_spoil_the_first():
+    settings = RippleSettings(draws=400)
+    first, second = wave(-0.3, 0.3, waves=8), wave(0.7, 0.3, waves=11)
+    both = estimate(image(first + second - 1), settings, rng=1)
+    alone = estimate(image(first), settings, rng=1)
+    assert not alone.second.sizes
+    assert abs(float(both.mean.frequency) * 15 / 8 - 1) < 0.01
+    assert abs(float(both.second.frequency.mean()) * 15 / 11 - 1) < 0.01
+    assert abs(float(both.second.azimuth.mean()) % 180 - (90 + np.degrees(0.7))) < 1
+    heights = [float(p.mean.height) for p in (both, alone)]
+    assert abs(heights[0] - heights[1]) < 2 * float(alone.sd.height)
+    kept = summarise(both)
+    assert kept.second_mean[0] == float(both.second.frequency.mean())
+    assert np.isnan(summarise(alone).second_mean[0])
+
+
+def a_wave(vector, whole=True):
+    return Wave(np.array(vector), 5.0, 4.0, 1.0, whole)
+
+
+def test_bends_parts_and_overtones_are_no_second_system():
+    first = np.array([1.0, 0.0])
+    assert second_system([a_wave([0.95, 0.3])], first) is None
+    assert second_system([a_wave([0.5, 0.8], whole=False)], first) is None
+    assert second_system([a_wave([2.02, 0.05])], first) is None
+    found = second_system([a_wave([0.95, 0.3]), a_wave([-0.5, 0.8])], first)
+    np.testing.assert_array_equal(found.vector, [-0.5, 0.8])
