@@ -10,6 +10,7 @@ RIPPLE_PRODUCTS = (
     "ripple_passes.tif",
     "ripples.nc",
     "modelled_amplitude.tif",
+    "ripple_extent.gpkg",
 )
 SEDIMENT_PRODUCTS = (
     "sediment_class.tif",

@@ -166,10 +166,11 @@ def _readable(line: str) -> str:
 def _plan(options: argparse.Namespace) -> int:
     from sasmap.run.cost import check_fits, describe_cost
     from sasmap.run.plan import describe, make_plan
+    from sasmap.run.suggestion import describe_window
 
     _log(quiet=False)
     plan = make_plan(load_survey(options.survey))
-    for line in (*describe(plan), *describe_cost(plan, options.workers)):
+    for line in (*describe(plan), *describe_window(plan), *describe_cost(plan, options.workers)):
         print(line)
     check_fits(plan, options.workers)
     _repeat(plan.opened.warnings)

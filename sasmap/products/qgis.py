@@ -17,9 +17,11 @@ from sasmap.ripples.posterior import Quality
 
 VERSION = "3.22"
 PROJECT = "survey.qgs"
+EXTENT = "ripple_extent.gpkg"
 # Of layers, from the topmost; those shown at first.
 ORDER = (
     "sediment_boundaries.gpkg",
+    EXTENT,
     "ripple_frequency.tif",
     "ripple_height.tif",
     "ripple_azimuth.tif",
@@ -33,6 +35,7 @@ ORDER = (
 SHOWN = ("sediment_boundaries.gpkg", "ripple_frequency.tif", "sediment_class.tif")
 TITLES = {
     "sediment_boundaries.gpkg": "Sediment boundaries",
+    EXTENT: "Rippled sea floor",
     "ripple_quality.tif": "Quality of cells",
     "ripple_passes.tif": "Passes used",
     "sediment_class.tif": "Sediments",
@@ -110,6 +113,8 @@ def _text(root: ET.Element) -> str:
 
 def _style(path: Path, names: Names) -> list[ET.Element]:
     """Elements that draw a product."""
+    if path.name == EXTENT:
+        return [_outline()]
     if path.suffix == ".gpkg":
         return _boundaries(names.sediments)
     pipe = ET.Element("pipe")
@@ -205,6 +210,15 @@ def _boundaries(sediments: Mapping[int, tuple[str, Colour]]) -> list[ET.Element]
     return [renderer, _labels()]
 
 
+def _outline() -> ET.Element:
+    """Draw areas by their outline alone."""
+    renderer = ET.Element("renderer-v2", type="singleSymbol", symbollevels="0", forceraster="0")
+    symbols = ET.SubElement(renderer, "symbols")
+    symbol = ET.SubElement(symbols, "symbol", type="fill", name="0", alpha="1", clip_to_extent="1")
+    _simple_line(symbol, (213, 94, 0), 0.5, 0.0)
+    return renderer
+
+
 def _simple_line(symbol: ET.Element, colour: Colour, width: float, offset: float) -> None:
     layer = ET.SubElement(
         symbol, "layer", {"class": "SimpleLine", "enabled": "1", "locked": "0", "pass": "0"}
@@ -284,12 +298,14 @@ def _identity(name: str) -> str:
 
 
 def _source(name: str) -> str:
-    return f"./{name}|layername=boundaries" if name.endswith(".gpkg") else f"./{name}"
+    layer = "extent" if name == EXTENT else "boundaries"
+    return f"./{name}|layername={layer}" if name.endswith(".gpkg") else f"./{name}"
 
 
 def _layer(name: str, crs: str, style: list[ET.Element]) -> ET.Element:
     vector = name.endswith(".gpkg")
-    kind = {"type": "vector", "geometry": "Line"} if vector else {"type": "raster"}
+    shape = "Polygon" if name == EXTENT else "Line"
+    kind = {"type": "vector", "geometry": shape} if vector else {"type": "raster"}
     layer = ET.Element("maplayer", kind)
     ET.SubElement(layer, "id").text = _identity(name)
     ET.SubElement(layer, "datasource").text = _source(name)

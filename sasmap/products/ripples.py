@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sasmap.io.files import written_whole
 from sasmap.io.rasters import Category, Layer, as_bands, float_layer, write_cog
 from sasmap.products.colours import QUALITY_COLOURS
+from sasmap.ripples.detection import Unclear
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
 from sasmap.ripples.summary import Summary
@@ -30,6 +31,8 @@ SINGLE_UNITS = {
     "coherence_length": "m",
     "rippled_fraction": "1",
     "noise_factor": "1",
+    "defect_density": "m-2",
+    "window": "1",
     "exponent": "1",
     "exponent_sd": "1",
     "concentration": "1",
@@ -232,9 +235,18 @@ def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
         for k, parameter in enumerate(JUDGED):
             field = _field(cells, shape, lambda s, n=name, i=k: getattr(s, n)[i])
             variables[f"{parameter}_{name}"] = (_DIMS, field, {"units": "1"})
+    units = {"frequency": "cycles/m", "height": "m", "azimuth": "degrees"}
+    for k, parameter in enumerate(JUDGED):
+        for name in ("mean", "sd"):
+            field = _field(cells, shape, lambda s, n=f"second_{name}", i=k: getattr(s, n)[i])
+            about = {"units": units[parameter], "long_name": "of a second system of ripples"}
+            variables[f"{parameter}_second_{name}"] = (_DIMS, field, about)
     for name, unit in SINGLE_UNITS.items():
         field = _field(cells, shape, lambda s, n=name: getattr(s, n))
         variables[name] = (_DIMS, field, {"units": unit})
+    reasons = {reason.value: float(k + 1) for k, reason in enumerate(Unclear)}
+    unclear = _field(cells, shape, lambda s: reasons.get(s.reason, 0.0))
+    variables["unclear"] = (_DIMS, np.nan_to_num(unclear).astype(np.int8), _reasons())
     left_out = _field(cells, shape, lambda s: float(s.left_out))
     variables["left_out"] = (_DIMS, np.nan_to_num(left_out).astype(np.int16), _masks())
     return variables
@@ -256,6 +268,16 @@ def _flags() -> dict[str, Any]:
     return {
         "flag_values": np.array([int(q) for q in Quality], np.int8),
         "flag_meanings": " ".join(q.label.replace(" ", "_") for q in Quality),
+    }
+
+
+def _reasons() -> dict[str, Any]:
+    names = ["clear", *(reason.name.lower() for reason in Unclear)]
+    return {
+        "flag_values": np.arange(len(names), dtype=np.int8),
+        "flag_meanings": " ".join(names),
+        "long_name": "why ripples cannot be told: too few waves a window, too few pixels a wave, "
+        "looked at along the crests",
     }
 
 

@@ -7,9 +7,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.detection import Spectrum, Wave, find_waves, spectrum, too_long
+from sasmap.ripples.detection import MIN_ALONG, Wave, find_waves
+from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
-from sasmap.ripples.image import Image, as_image
+from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
 from sasmap.ripples.optimise import COORDINATES, free_coordinates, sampled_coordinates
 from sasmap.ripples.posterior import (
@@ -49,12 +50,12 @@ NEGLIGIBLE = 15.0
 LAG_DRAWS = 60
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
-# Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
-MIN_ALONG = 0.07
+# Cosine of the angle between crests from which those of another system run; log of the ratio of
+# wavelengths from which those of one direction are two; cosine above which a whole ratio is an
+# overtone.
+ANOTHER, LONGER, OVERTONE = 0.87, 0.4, 0.95
 # Share of the strongest wave's energy from which its half or double is tried as well.
 RIVAL = 0.25
-# Power over the spectrum around it that a wave seen along its crests must have to be remarked.
-STRIKING = 200.0
 
 
 def estimate(
@@ -125,33 +126,37 @@ def _default(
     clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
 ) -> Posterior:
     image = as_image(clip)
-    found = spectrum(image)
-    if found is None:
-        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
-    waves = find_waves(image, found, settings.frequency)
-    if waves is None:
-        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
-    chosen, probability = _candidates(image, waves)
+    found = find_waves(image, settings.frequency)
+    chosen = _candidates(found.waves)
     if not chosen:
-        quality = _why_not(image, found, waves, settings)
-        return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
+        quality = Quality.NO_RIPPLES if found.unclear is None else Quality.NOT_IDENTIFIABLE
+        return Posterior(
+            quality,
+            prior,
+            left_out=LeftOut.SAMPLING,
+            probability=found.probability,
+            reason=found.reason,
+        )
     task = Task(image, settings, prior, clip.altitude_sd)
     fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.explained)
     points, acceptance, done = _sampled(fit, settings, rng)
     draws = _labelled(points, fit, image, rng)
     image_of = modelled(clip, image, fit, points) if settings.keep_model else None
+    extent = ripple_extent(image, fit.phase.wave)
+    other = second_system(found.waves, fit.phase.wave)
     return Posterior(
         _judged(draws, done, image),
         prior,
         draws,
         acceptance,
         _left_out(fit),
-        probability,
+        found.probability,
         Shape(
             fit.phase.coherence_length,
-            fit.phase.rippled_fraction,
+            extent.fraction,
             fit.phase.stiffness,
             fit.noise_factor,
+            extent.defect_density,
             fit.geometry.altitude_middle / fit.geometry.range_middle,
             fit.geometry.altitude_middle,
             fit.geometry.altitude_sd,
@@ -159,26 +164,53 @@ def _default(
         ),
         None if image_of is None else image_of.amplitude,
         None if image_of is None else image_of.relief,
+        rippled=on_clip(clip, image, extent.probability),
+        reference=(*(float(v) for v in fit.phase.wave), extent.own),
+        second=xr.Dataset() if other is None else _draws_of(task, other, rng),
     )
 
 
-def _candidates(image: Image, waves: list[Wave]) -> tuple[list[Wave], float]:
-    """Waves to fit, and the probability that there is a ripple.
+def _draws_of(task: Task, wave: Wave, rng: np.random.Generator) -> xr.Dataset:
+    """Estimate a wave of a clip whose first system is estimated already."""
+    fit = fit_wave(task, wave.vector)
+    points, _, _ = _sampled(fit, task.settings, rng)
+    return _labelled(points, fit, task.image, rng)
 
-    The strongest of those that pass, and those half or twice as long that come near it.
-    """
-    visible = [w for w in waves if _along_look(image, w) > MIN_ALONG]
-    probability = max((w.probability for w in visible), default=0.0)
-    passed = [w for w in visible if w.probability > PRESENT]
+
+def _candidates(waves: list[Wave]) -> list[Wave]:
+    """Waves to fit: the strongest of those that pass, and one half or twice as long near it."""
+    passed = [w for w in waves if w.probability > PRESENT]
     if not passed:
-        return [], probability
+        return []
     first = max(passed, key=lambda w: w.energy)
     others = [w for w in passed if w.energy > RIVAL * first.energy and _harmonic(w, first)]
-    return [first, *others[:1]], probability
+    return [first, *others[:1]]
 
 
-def _along_look(image: Image, wave: Wave) -> float:
-    return float(abs(wave.vector @ image.look) / np.hypot(*wave.vector))
+def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
+    """Return the likeliest wave of another system than the first, if there is one.
+
+    Parameters
+    ----------
+    waves : list of Wave
+        The likeliest first.
+    first : ndarray (2,)
+        Wave vector (east, north) of the first system, cycles/m.
+
+    Returns
+    -------
+    Wave or None
+        Of the whole clip (waves of its parts are the first one's that bends), in another direction,
+        and in the same one at another wavelength that is no harmonic.
+    """
+    for wave in waves:
+        ratio = float(np.hypot(*wave.vector) / np.hypot(*first))
+        cosine = float(abs(wave.vector @ first) / (np.hypot(*wave.vector) * np.hypot(*first)))
+        overtone = cosine > OVERTONE and abs(ratio - round(ratio)) < 0.1 * ratio
+        other = cosine < ANOTHER or (abs(np.log(ratio)) > LONGER and not overtone)
+        if wave.whole and wave.probability > PRESENT and other:
+            return wave
+    return None
 
 
 def _harmonic(wave: Wave, first: Wave) -> bool:
@@ -186,14 +218,6 @@ def _harmonic(wave: Wave, first: Wave) -> bool:
     ratio = np.hypot(*wave.vector) / np.hypot(*first.vector)
     cosine = abs(wave.vector @ first.vector) / (np.hypot(*wave.vector) * np.hypot(*first.vector))
     return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
-
-
-def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleSettings) -> Quality:
-    """Quality of a clip without a wave that could be estimated."""
-    hidden = [w for w in waves if w.probability > 0.99 and w.power > STRIKING]
-    if hidden or too_long(image, found, settings.frequency):
-        return Quality.NOT_IDENTIFIABLE
-    return Quality.NO_RIPPLES
 
 
 def _sampled(

@@ -80,6 +80,8 @@ class Shape:
         Smoothing of the phase field, m; infinite where crests are straight.
     noise_factor : float
         Variance of the speckle over that of independent pixels.
+    defect_density : float
+        Places a square metre where crests split or end.
     tangent, altitude, altitude_sd : float
         Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
     centre : tuple of float
@@ -90,6 +92,7 @@ class Shape:
     rippled_fraction: float
     stiffness: float
     noise_factor: float
+    defect_density: float
     tangent: float = 1.0
     altitude: float = 1.0
     altitude_sd: float = 0.0
@@ -141,6 +144,16 @@ class Posterior:
         geometry is known or no ripple is.
     relief : ndarray (rows, columns) or None
         With `model`: the same over the amplitude of flat sea floor.
+    reason : str
+        Why the clip cannot tell, in words; empty where it can.
+    rippled : ndarray (rows, columns) or None
+        Probability that a pixel lies on rippled floor, NaN where the clip shows nothing; None
+        without draws.
+    second : Dataset (chain, draw)
+        As `draws`, of a second system of ripples; empty where the evidence asks for none.
+    reference : tuple of float
+        What `rippled` was told by: wave vector (east, north), cycles/m, and
+        :attr:`sasmap.ripples.extent.Extent.own`. Empty without draws.
     """
 
     quality: Quality
@@ -152,6 +165,10 @@ class Posterior:
     shape: Shape | None = None
     model: FloatArray | None = None
     relief: FloatArray | None = None
+    reason: str = ""
+    rippled: FloatArray | None = None
+    reference: tuple[float, ...] = ()
+    second: xr.Dataset = field(default_factory=xr.Dataset)
 
     @property
     def sampled(self) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
 from sasmap.ripples.mixture import fit_mixture
-from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
+from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality, axial
 
 NAN = float("nan")
 LAW = ("exponent", "concentration", "peakedness", "asymmetry")
@@ -48,6 +48,14 @@ class Summary:
         Of the scattering law sin^n(theta) exp(-c (theta - pi/2)^2), by this look alone.
     peakedness, asymmetry : float
         Second harmonics of the crest profile over A_H.
+    defect_density : float
+        Places a square metre of rippled floor where crests split or end.
+    reason : str
+        Why the look cannot tell whether there are ripples, in words; empty where it can.
+    second_mean, second_sd : tuple of float
+        Of f (cycles/m), A_H (m) and the azimuth (degrees) of a second system of ripples.
+    window : float
+        Side of the area that was estimated, cells: more than 1 where a wave is too long for one.
     tangent, altitude : float
         Of the grazing angle, and of the sonar, m, at the clip's middle.
     altitude_gain, altitude_sd : float
@@ -82,6 +90,11 @@ class Summary:
     concentration_sd: float = NAN
     peakedness: float = NAN
     asymmetry: float = NAN
+    defect_density: float = NAN
+    reason: str = ""
+    second_mean: tuple[float, float, float] = (NAN, NAN, NAN)
+    second_sd: tuple[float, float, float] = (NAN, NAN, NAN)
+    window: float = 1.0
     tangent: float = 1.0
     altitude: float = 1.0
     altitude_gain: float = 0.0
@@ -112,7 +125,12 @@ def summarise(posterior: Posterior) -> Summary:
     Summary
     """
     if not posterior.sampled:
-        return Summary(posterior.quality, posterior.left_out, probability=posterior.probability)
+        return Summary(
+            posterior.quality,
+            posterior.left_out,
+            probability=posterior.probability,
+            reason=posterior.reason,
+        )
     draws = [posterior.draws[name].values for name in ("frequency", "height")]
     q05, q95 = (tuple(float(np.quantile(d, p)) for d in draws) for p in (0.05, 0.95))
     spread = [float(d.std(ddof=1)) for d in draws]
@@ -133,6 +151,7 @@ def summarise(posterior: Posterior) -> Summary:
         azimuth=posterior.azimuth,
         mixture=_mixture(posterior),
         probability=posterior.probability,
+        **_second(posterior),
         **_shape(posterior),
         **_law(posterior),
     )
@@ -197,6 +216,18 @@ def _law(posterior: Posterior) -> dict[str, Any]:
     return found | {f"{name}_sd": float(sd[name]) for name in LAW[:2]}
 
 
+def _second(posterior: Posterior) -> dict[str, Any]:
+    """Means and standard deviations of a second system of ripples, where there is one."""
+    draws = posterior.second
+    if not draws.sizes:
+        return {}
+    (f, f_sd), (height, height_sd) = (
+        (float(draws[name].mean()), float(draws[name].std(ddof=1))) for name in JUDGED[:2]
+    )
+    azimuth, azimuth_sd = axial(draws["azimuth"].values)
+    return {"second_mean": (f, height, azimuth), "second_sd": (f_sd, height_sd, azimuth_sd)}
+
+
 def _shape(posterior: Posterior) -> dict[str, Any]:
     shape = posterior.shape
     if shape is None:
@@ -205,6 +236,7 @@ def _shape(posterior: Posterior) -> dict[str, Any]:
         "coherence_length": shape.coherence_length,
         "rippled_fraction": shape.rippled_fraction,
         "noise_factor": shape.noise_factor,
+        "defect_density": shape.defect_density,
         "tangent": shape.tangent,
         "altitude": shape.altitude,
         "altitude_sd": shape.altitude_sd,

@@ -20,9 +20,9 @@ from sasmap.run.wording import duration, size
 FLAT, RIPPLED, MAPPED = 4e-7, 2.4e-6, 5e-7
 # Bytes of the process and its libraries; a pixel of a cell in work; a pixel of the sample.
 BASE, WORKING, SAMPLED = 400e6, 300.0, 130.0
-# Bytes on disk: of a look at a cell; of its pixels for the sediment map, and modelled; of the map
-# in the making, and of products.
-RECORD, KEPT, MODELLED, MAKING, PRODUCTS = 4096, 6, 4, 22, 6
+# Bytes on disk: of a look at a cell; of its pixels for the sediment map, modelled, and of the
+# ripples' extent; of the map in the making, and of products.
+RECORD, KEPT, MODELLED, EXTENT, MAKING, PRODUCTS = 4096, 6, 4, 1, 22, 6
 
 
 class Cost(NamedTuple):
@@ -70,7 +70,8 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
     if survey.ripples is not None:
         left = (looks - finished) * cell
         low, high = FLAT * left, RIPPLED * left
-        disk += (looks - finished) * (RECORD + MODELLED * cell * survey.ripples.keep_model)
+        kept = EXTENT + MODELLED * survey.ripples.keep_model
+        disk += (looks - finished) * (RECORD + kept * cell)
     if survey.sediments is not None:
         low, high = (v + MAPPED * (pixels + 0.2 * looks * cell) for v in (low, high))
         memory += SAMPLED * min(SAMPLE, looks * cell)

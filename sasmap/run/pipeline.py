@@ -21,6 +21,7 @@ from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.run.cost import check_fits
+from sasmap.run.extent_stage import write_ripple_extent
 from sasmap.run.lock import LOCK, locked
 from sasmap.run.manifest import Clock, Outcome, write_manifest
 from sasmap.run.plan import Plan, Swath, make_plan, tags_of
@@ -234,6 +235,7 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     )
     path = store.output / "ripples.nc"
     _attempt(outcome, path.name, lambda: write_ripples_netcdf(path, *found, labels, shape, *place))
+    _attempt(outcome, "ripple_extent.gpkg", lambda: [write_ripple_extent(plan, store, outcome)])
     if settings.keep_model:
         _attempt(outcome, "modelled amplitude", lambda: [_write_model(plan, store, outcome)])
 

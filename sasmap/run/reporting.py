@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ MEANINGS = {
     Quality.NO_RIPPLES: "looked at, and none found",
     Quality.NOT_CONVERGED: "chains did not agree; do not use the numbers",
     Quality.CONTRADICTION: "passes tell different values; ripples may have changed between them",
-    Quality.NOT_IDENTIFIABLE: "a look along the crests, or too few pixels a wavelength",
+    Quality.NOT_IDENTIFIABLE: "too few waves or pixels a wave, or a look along the crests",
     Quality.TOO_FEW_PIXELS: "under a quarter of the cell's pixels are valid",
     Quality.FAILED: "could not be computed; see below",
 }
@@ -48,6 +49,7 @@ PRODUCT_TEXTS = {
     "ripple_probability.tif": "probability that the cell is rippled",
     "ripple_quality.tif": "quality code of each cell",
     "ripple_passes.tif": "passes that stand for each cell",
+    "ripple_extent.gpkg": "outlines of rippled sea floor",
     "ripples.nc": "everything per pass and cell (NetCDF)",
     "modelled_amplitude.tif": "posterior-mean image, beside which the tiles can be laid",
     "sediment_class.tif": "sediment class at full resolution",
@@ -154,12 +156,22 @@ def _quality(outcome: Outcome) -> list[dict[str, Any]]:
         {
             "label": q.label,
             "count": counts[q.label],
-            "meaning": MEANINGS[q],
+            "meaning": _meaning(outcome, q),
             "colour": hexadecimal(QUALITY_COLOURS.get(q, (255, 255, 255))),
         }
         for q in Quality
         if q.label in counts
     ]
+
+
+def _meaning(outcome: Outcome, quality: Quality) -> str:
+    """Say what a quality means; where ripples cannot be told, why not and what to change."""
+    if quality is not Quality.NOT_IDENTIFIABLE:
+        return MEANINGS[quality]
+    looks = [s for cell in outcome.cells.values() for s in cell if s is not None]
+    counts = Counter(s.reason for s in looks if s.reason)
+    told = "; ".join(f"{reason} ({count} looks)" for reason, count in counts.most_common())
+    return told or MEANINGS[quality]
 
 
 def _ripple_words(outcome: Outcome) -> str:
