@@ -20,7 +20,8 @@ from sasmap.products.sediments import write_sediments
 from sasmap.run.class_models import ClassModel, model_text
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan, tags_of
-from sasmap.run.sediment_map import Ground, map_sediments
+from sasmap.run.sediment_map import map_sediments
+from sasmap.run.sediment_surface import Ground
 from sasmap.run.store import Store, code_version, digest
 from sasmap.run.task import Context, excluded_hash, read_floor, track_hash
 from sasmap.survey.cells import Cell
@@ -106,7 +107,7 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
             store.scratch,
         )
         outcome.sediments = found.table(abs(transform.determinant))
-        outcome.histograms = found.histograms(ground)
+        outcome.histograms = found.histograms()
     written.append(store.output / "sediment_classes.json")
     write_text(written[-1], model_text(found.names, found.classes), store.scratch)
     if not reader.faults:
