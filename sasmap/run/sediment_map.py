@@ -22,6 +22,7 @@ from sasmap.run.sediment_surface import Ground, Part, Surface, lay
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
+from sasmap.sediments.texture import MARGIN, SHARED
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 
 FloatArray = NDArray[np.float64]
@@ -41,8 +42,8 @@ BINS, DRAWN = 40, 24
 class Quantised:
     """Log likelihoods of one class, kept in a byte each; slices are nats."""
 
-    def __init__(self, values: Any) -> None:
-        self.values = values
+    def __init__(self, values: Any, step: float = STEP) -> None:
+        self.values, self.step = values, step
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -52,7 +53,7 @@ class Quantised:
 
     def __getitem__(self, part: Any) -> NDArray[np.float32]:
         """Return nats of a part of the map."""
-        return np.asarray(self.values[part] * np.float32(STEP), np.float32)
+        return np.asarray(self.values[part] * np.float32(self.step), np.float32)
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,9 @@ def map_sediments(
         _classify(surface, classes, part, kept, label, confidence)
 
     deque(mapped(classify, surface.blocks(SIDE), workers), 0)
-    layers = [Quantised(layer) for layer in kept]
+    # a pixel's log odds by texture are those of a window: a boundary may count them but once
+    step = STEP if classes.texture is None else STEP / SHARED
+    layers = [Quantised(layer, step) for layer in kept]
     lines = refined(traced(label), layers, workers)
     final = canvas("final", "uint8")
     for top in range(0, surface.shape[0], SIDE):
@@ -211,7 +214,12 @@ def _without_empty(found: SedimentMap) -> SedimentMap:
         for line in found.lines
         if number[line.left] and number[line.right]
     )
-    classes = replace(found.classes, laws=tuple(found.classes.laws[k] for k in there))
+    texture = found.classes.texture
+    classes = replace(
+        found.classes,
+        laws=tuple(found.classes.laws[k] for k in there),
+        texture=texture if texture is None else texture.of(there),
+    )
     names = tuple(f"class {k + 1}" for k in range(len(there)))
     return replace(found, lines=lines, classes=classes, names=names)
 
@@ -225,7 +233,7 @@ def _classify(
     confidence: Any,
 ) -> None:
     """Classify one block of pixels, with those around it in view."""
-    wide, inner = surface.around(part, HALO)
+    wide, inner = surface.around(part, HALO if classes.texture is None else HALO + MARGIN)
     likelihood = log_likelihoods(surface.part(wide), classes)
     found = class_map(likelihood, len(classes.laws))
     for layer, values in zip(kept, _quantised(likelihood[:, *inner]), strict=True):
@@ -242,7 +250,8 @@ def _classes(surface: Surface, count: int | None, known: ClassModel | None) -> C
     if known is None:
         return find_classes(looks, count)
     if known.laws:
-        return carry_over(looks, known.laws, known.centre)
+        found = carry_over(looks, known.laws, known.centre)
+        return replace(found, texture=known.texture)
     return train_classes(looks, np.nan_to_num(marks).astype(np.uint8), len(known.names))
 
 
