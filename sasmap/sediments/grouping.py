@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, uniform_filter
+from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
 from sasmap.numerics.gaussians import expectation_maximisation, log_densities
 from sasmap.sediments.texture import LAGS, SCALES
@@ -20,6 +20,9 @@ MOST_CLASSES = 8
 CORE = 0.12
 # Blocks a side over which texture is described: 48 pixels.
 AROUND = 3
+# Blocks a side that must be free of other groups around one whose texture is its own: texture is
+# described by 24 pixels to each side, of averages over 16.
+CLEAR = 5
 # Scatter that textures of one bed have beyond their sampling (log variances, mean amplitude).
 SCATTER = 0.05
 # Bhattacharyya distance (of Gaussians, nats) by which the textures of two beds must differ: 4
@@ -153,7 +156,7 @@ def textured_groups(
     result = pruned(result, count or 1)
     points, groups = described[result >= 0], result[result >= 0]
     result[result >= 0] = _united(points, groups, count or 1, APART if count is None else np.inf)
-    return result, any(_mixed(described, labels, k) for k in range(int(labels.max()) + 1))
+    return result, any(_mixed(described, labels, dark, k) for k in range(int(labels.max()) + 1))
 
 
 def _described(found: Sequence[NDArray[np.float32]], dark: NDArray[np.bool_]) -> FloatArray:
@@ -164,10 +167,11 @@ def _described(found: Sequence[NDArray[np.float32]], dark: NDArray[np.bool_]) ->
     """
     total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
     looks = np.zeros(dark.shape)
+    near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
     for channels in found:
         known = np.isfinite(channels[0])
         count = _around(_block_sums(known.astype(np.float32)) * ~dark)
-        enough = (count >= MIN_KNOWN * BLOCK**2) & ~dark
+        enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
 
         def mean(values: NDArray[np.floating], count: FloatArray = count) -> FloatArray:
             sums = _block_sums(np.nan_to_num(values)) * ~dark
@@ -195,11 +199,12 @@ def _around(sums: FloatArray) -> FloatArray:
     return np.asarray(uniform_filter(sums, AROUND, mode="constant"))
 
 
-def _mixed(described: FloatArray, groups: Labels, k: int) -> bool:
+def _mixed(described: FloatArray, groups: Labels, dark: NDArray[np.bool_], k: int) -> bool:
     """Whether a group by amplitude holds two textures, each with a place of its own."""
     mine = groups == k
-    # blocks of no group are uneven: they tell nothing
-    inside = binary_erosion(mine | (groups < 0), np.ones((AROUND, AROUND)), border_value=1) & mine
+    # blocks of no group are uneven and tell nothing, but shadow and other groups are near
+    foreign = dark | ((groups >= 0) & ~mine)
+    inside = binary_erosion(~foreign, np.ones((CLEAR, CLEAR)), border_value=1) & mine
     inside &= np.isfinite(described[..., 0])
     if inside.sum() < ENOUGH:
         return False
