@@ -1,11 +1,11 @@
-"""GeoPackage of boundaries, written byte for byte the same for the same lines."""
+"""GeoPackages of boundaries and areas, written byte for byte the same for the same lines."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyogrio
@@ -39,6 +39,32 @@ class Feature(NamedTuple):
     position_sd: float
 
 
+class Area(NamedTuple):
+    """An area of one sediment on the map.
+
+    Attributes
+    ----------
+    shape : shapely geometry
+        Polygon or multipolygon, map coordinates.
+    number : int
+        Of its class.
+    name, code : str
+    area : float
+        m^2.
+    confidence : float
+        Mean probability of the class.
+    rippled : bool
+    """
+
+    shape: Any
+    number: int
+    name: str
+    code: str
+    area: float
+    confidence: float
+    rippled: bool
+
+
 def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch: Path) -> None:
     """Write layer ``boundaries`` of a GeoPackage, whole or not at all.
 
@@ -55,21 +81,66 @@ def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch:
     OSError
         Where the file cannot be written.
     """
-    lines = shapely.to_wkb([shapely.LineString(f.points) for f in features])
-    names = [np.array([getattr(f, k) for f in features], object) for k in ("left", "right")]
-    sd = np.array([f.position_sd for f in features], np.float64)
+    columns: dict[str, NDArray[Any]] = {
+        k: np.array([getattr(f, k) for f in features], object) for k in ("left", "right")
+    }
+    columns["position_sd"] = np.array([f.position_sd for f in features], np.float64)
+    lines = [shapely.LineString(f.points) for f in features]
+    _write(path, ("boundaries", "LineString"), lines, columns, crs, scratch)
+
+
+def write_areas(path: Path, areas: Sequence[Area], crs: str, scratch: Path) -> None:
+    """Write layer ``areas`` of a GeoPackage, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    areas : sequence of Area
+    crs : str
+        WKT.
+    scratch : Path
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written.
+    """
+    columns = {
+        "class": np.array([a.number for a in areas], np.int32),
+        "name": np.array([a.name for a in areas], object),
+        "code": np.array([a.code for a in areas], object),
+        "area_m2": np.array([a.area for a in areas], np.float64),
+        "confidence": np.array([a.confidence for a in areas], np.float64),
+        "rippled": np.array([a.rippled for a in areas], bool),
+    }
+    shapes = [
+        a.shape if a.shape.geom_type == "MultiPolygon" else shapely.MultiPolygon([a.shape])
+        for a in areas
+    ]
+    _write(path, ("areas", "MultiPolygon"), shapes, columns, crs, scratch)
+
+
+def _write(
+    path: Path,
+    layer: tuple[str, str],
+    shapes: Sequence[Any],
+    columns: dict[str, NDArray[Any]],
+    crs: str,
+    scratch: Path,
+) -> None:
+    """Write a layer (its name and kind of geometry)."""
     with written_whole(path, scratch) as part:
         draft = part.with_suffix(".gpkg")  # GDAL warns of other names
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": DATE})
         try:
             pyogrio.raw.write(
                 draft,
-                np.asarray(lines, object),
-                [*names, sd],
-                ["left", "right", "position_sd"],
+                np.asarray(shapely.to_wkb(list(shapes)), object),
+                list(columns.values()),
+                list(columns),
                 driver="GPKG",
-                layer="boundaries",
-                geometry_type="LineString",
+                layer=layer[0],
+                geometry_type=layer[1],
                 crs=crs,
                 dataset_options={"VERSION": "1.2"},  # which all readers know
             )

@@ -26,6 +26,7 @@ class ClassModel(NamedTuple):
     Attributes
     ----------
     names : tuple of str
+        Classes of one name are one class of the map.
     marks : callable or None
         ``marks(row, column)`` gives the class known at each pixel of a cell, 0 for none.
     cells : tuple of (row, column)
@@ -36,6 +37,8 @@ class ClassModel(NamedTuple):
         Log of the cotangent of the grazing angle at which they hold.
     texture : Texture or None
         Laws at several scales, if the survey needed them.
+    codes : tuple of str
+        Of a scheme of the user's (Folk, EUNIS, CMECS), if any are given.
     """
 
     names: tuple[str, ...]
@@ -44,14 +47,20 @@ class ClassModel(NamedTuple):
     laws: tuple[Law, ...] = ()
     centre: float = 0.0
     texture: Texture | None = None
+    codes: tuple[str, ...] = ()
+
+    def codes_of(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Code of each of some names; empty where none is given."""
+        known = dict(zip(reversed(self.names), reversed(self.codes), strict=False))
+        return tuple(known.get(name, "") for name in names)
 
 
-def model_text(names: Sequence[str], classes: Classes) -> str:
+def model_text(names: Sequence[str], codes: Sequence[str], classes: Classes) -> str:
     """Write a survey's classes as JSON, for other surveys to take over.
 
     Parameters
     ----------
-    names : sequence of str
+    names, codes : sequence of str
     classes : Classes
 
     Returns
@@ -62,7 +71,8 @@ def model_text(names: Sequence[str], classes: Classes) -> str:
         "format": FORMAT,
         "reference_cotangent": float(np.exp(classes.centre)),
         "classes": [
-            {"name": name, **asdict(law)} for name, law in zip(names, classes.laws, strict=True)
+            {"name": name, "code": code, **asdict(law)}
+            for name, code, law in zip(names, codes, classes.laws, strict=True)
         ],
     }
     if classes.texture is not None:
@@ -102,7 +112,10 @@ def read_model(path: Path) -> ClassModel:
         if not laws or not 0 < reach < np.inf or len(laws) > 250:
             raise ValueError("no classes, or no angle")
         texture = _texture_of(content["texture"], len(laws)) if "texture" in content else None
-        return ClassModel(names, laws=laws, centre=float(np.log(reach)), texture=texture)
+        codes = tuple(str(one.get("code", "")) for one in content["classes"])
+        return ClassModel(
+            names, laws=laws, centre=float(np.log(reach)), texture=texture, codes=codes
+        )
     except OSError as error:
         raise InputError(f"{path}: {expected}: {error.strerror or error}") from None
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:

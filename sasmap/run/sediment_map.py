@@ -19,7 +19,7 @@ from sasmap.io.canvas import Canvas
 from sasmap.numerics.threads import mapped
 from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
-from sasmap.sediments.classmap import class_map, log_likelihoods
+from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
 from sasmap.sediments.texture import MARGIN, SHARED
@@ -99,6 +99,27 @@ class SedimentMap:
             {"edges": e.tolist(), "counts": c.tolist()} for e, c in zip(edges, counts, strict=True)
         ]
 
+    def renumbered(self, number: NDArray[np.uint8]) -> tuple[Line, ...]:
+        """Give classes new numbers on the map (256,); return the lines that still part two."""
+        if (number[1 : len(self.classes.laws) + 1] != np.arange(len(self.classes.laws)) + 1).any():
+            for top in range(0, self.label.shape[0], SIDE):
+                part = slice(top, top + SIDE)
+                self.label[part] = number[self.label[part]]
+        return tuple(
+            line._replace(left=int(number[line.left]), right=int(number[line.right]))
+            for line in self.lines
+            if number[line.left] and number[line.right] and number[line.left] != number[line.right]
+        )
+
+    def merged(self) -> SedimentMap:
+        """Make classes of one name one class, of the first one's law."""
+        names = tuple(dict.fromkeys(self.names))
+        number = np.zeros(256, np.uint8)
+        number[1 : len(self.names) + 1] = [names.index(name) + 1 for name in self.names]
+        lines = self.renumbered(number)
+        first = tuple(self.classes.laws[self.names.index(name)] for name in names)
+        return replace(self, lines=lines, names=names, classes=replace(self.classes, laws=first))
+
     def pixels(self) -> NDArray[np.int64]:
         """Count pixels by number of the class (256,)."""
         total = np.zeros(256, np.int64)
@@ -143,6 +164,7 @@ def map_sediments(
     workers: int | None,
     scratch: Path,
     stack: ExitStack,
+    least: float = 0.0,
 ) -> SedimentMap | None:
     """Find or learn classes, map them and refine their boundaries.
 
@@ -159,6 +181,8 @@ def map_sediments(
         Folder of the rasters in the making.
     stack : ExitStack
         Closes them.
+    least : float
+        Pixels of the smallest patch that the map shows.
 
     Returns
     -------
@@ -193,9 +217,25 @@ def map_sediments(
     for top in range(0, surface.shape[0], SIDE):
         final[slice(top, top + SIDE)] = label[slice(top, top + SIDE)]
     paint(label, lines, final)
+    if least > 1:
+        final = _without_small(surface, final, least, canvas("sieved", "uint8"), workers)
     names = known.names if known is not None else ()
     found = SedimentMap(final, confidence, tuple(lines), classes, names, surface)
-    return found if known is not None else _without_empty(found)
+    return found.merged() if known is not None else _without_empty(found)
+
+
+def _without_small(
+    surface: Surface, label: Canvas, least: float, result: Canvas, workers: int | None
+) -> Canvas:
+    """Give patches of too few pixels to the class that is nearest, block by block."""
+    margin = int(np.ceil(2 * np.sqrt(least)))  # most patches are no longer than twice their root
+
+    def one(part: Part) -> None:
+        wide, inner = surface.around(part, margin)
+        result[part] = sieved(label[wide], least, wide == surface.whole)[inner]
+
+    deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
+    return result
 
 
 def _without_empty(found: SedimentMap) -> SedimentMap:
@@ -204,16 +244,7 @@ def _without_empty(found: SedimentMap) -> SedimentMap:
     there = [k for k in range(len(found.classes.laws)) if pixels[k + 1] > 0]
     number = np.zeros(256, np.uint8)
     number[[k + 1 for k in there]] = np.arange(1, len(there) + 1)
-    if len(there) < len(found.classes.laws):
-        for top in range(0, found.label.shape[0], SIDE):
-            part = slice(top, top + SIDE)
-            found.label[part] = number[found.label[part]]
-    # a line can only part classes that are on the map
-    lines = tuple(
-        line._replace(left=int(number[line.left]), right=int(number[line.right]))
-        for line in found.lines
-        if number[line.left] and number[line.right]
-    )
+    lines = found.renumbered(number)
     texture = found.classes.texture
     classes = replace(
         found.classes,
@@ -235,7 +266,7 @@ def _classify(
     """Classify one block of pixels, with those around it in view."""
     wide, inner = surface.around(part, HALO if classes.texture is None else HALO + MARGIN)
     likelihood = log_likelihoods(surface.part(wide), classes)
-    found = class_map(likelihood, len(classes.laws))
+    found = class_map(likelihood, len(classes.laws), whole=wide == surface.whole)
     for layer, values in zip(kept, _quantised(likelihood[:, *inner]), strict=True):
         layer[part] = values
     label[part] = found.label[inner]
@@ -258,10 +289,9 @@ def _classes(surface: Surface, count: int | None, known: ClassModel | None) -> C
 def _sampled(surface: Surface) -> tuple[list[AmplitudeGrid], FloatArray]:
     """Take blocks that speak for the survey, side by side, with marks."""
     rows, columns = surface.shape
-    whole = slice(0, rows), slice(0, columns)
     if rows * columns * len(surface.looks) <= SAMPLE:
-        marks = np.zeros(surface.shape) if surface.marks is None else surface.marks[whole]
-        return surface.part(whole), np.asarray(marks, float)
+        marks = np.zeros(surface.shape) if surface.marks is None else surface.marks[surface.whole]
+        return surface.part(surface.whole), np.asarray(marks, float)
     most = max(SAMPLE // (SAMPLED_SIDE**2 * len(surface.looks)), 4)
     every = surface.blocks(SAMPLED_SIDE)
     if surface.marks is None:

@@ -92,6 +92,11 @@ class Surface(NamedTuple):
             found.append(AmplitudeGrid(amplitude, look.cotangent[part].astype(float)))
         return found
 
+    @property
+    def whole(self) -> Part:
+        """All of the map."""
+        return slice(0, self.shape[0]), slice(0, self.shape[1])
+
     def blocks(self, side: int) -> list[Part]:
         """Blocks of so many pixels a side, row by row."""
         rows, columns = self.shape

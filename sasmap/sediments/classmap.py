@@ -107,7 +107,9 @@ class ClassMap(NamedTuple):
     probability: NDArray[np.float32]
 
 
-def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> ClassMap:
+def class_map(
+    likelihood: NDArray[np.float32], count: int | None = None, whole: bool = True
+) -> ClassMap:
     """Classify pixels.
 
     Parameters
@@ -116,6 +118,8 @@ def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> Clas
         Of :func:`log_likelihoods`.
     count : int, optional
         Sediments; what comes after them is none. Default all.
+    whole : bool
+        Whether the map ends at the edges; where not, what is small there may be more beyond.
 
     Returns
     -------
@@ -130,19 +134,40 @@ def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> Clas
     window_sums(level, FIRST_WINDOW, share)
     share = _softmax(share) * seen
     mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
-    label = _sieved(np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8))
+    label = np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8)
+    label = sieved(label, whole=whole)
     sediment = seen & (label <= (count or len(level)))
     chosen = np.where(sediment, share.max(axis=0), np.nan).astype(np.float32)
     return ClassMap(np.where(sediment, label, 0).astype(np.uint8), chosen)
 
 
-def _sieved(label: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Give specks of a class, of too few pixels to tell it, to the class that is nearest."""
+def sieved(
+    label: NDArray[np.uint8], smallest: float = SMALLEST, whole: bool = True
+) -> NDArray[np.uint8]:
+    """Give patches of too few pixels to the class that is nearest.
+
+    Parameters
+    ----------
+    label : ndarray of uint8 (rows, columns)
+        0 for none.
+    smallest : float
+        Pixels of the smallest patch that stays.
+    whole : bool
+        Whether patches end at the edges; where not, those that touch them stay.
+
+    Returns
+    -------
+    ndarray of uint8 (rows, columns)
+    """
     small = np.zeros(label.shape, bool)
     for k in np.unique(label[label > 0]):
         parts, _ = measure_label(label == k)
-        size = np.bincount(parts.ravel())
-        small |= (size < SMALLEST)[parts] & (parts > 0)
+        few = np.bincount(parts.ravel()) < smallest
+        if not whole:
+            for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+                few[edge] = False
+        few[0] = False
+        small |= few[parts]
     if not small.any() or (small | (label == 0)).all():
         return label
     nearest = distance_transform_edt(

@@ -29,7 +29,7 @@ SCATTER = 0.05
 # standard deviations where their spread is the same.
 APART = 2.0
 # Blocks from which groups are found, at most.
-FITTED = 4000
+FITTED = 2000
 # Blocks that can tell two textures of one class, and share of them that the rarer has.
 ENOUGH, RARE = 60, 0.04
 

@@ -88,8 +88,9 @@ def test_what_is_unknown_tells_nothing():
 def test_textures_go_to_other_surveys(tmp_path):
     looks, truth = halves(9)
     classes = find_classes(looks)
-    (tmp_path / "classes.json").write_text(model_text(("a", "b"), classes))
+    (tmp_path / "classes.json").write_text(model_text(("a", "b"), ("", "mS"), classes))
     model = read_model(tmp_path / "classes.json")
+    assert model.codes == ("", "mS")
     others, _ = halves(19)
     again = [
         log_likelihoods(others, c)
