@@ -17,6 +17,7 @@ SEDIMENT_PRODUCTS = (
     "sediment_class.tif.aux.xml",
     "sediment_confidence.tif",
     "sediment_boundaries.gpkg",
+    "sediment_areas.gpkg",
     "sediment_classes.json",
 )
 MANIFEST = "run.json"
@@ -24,7 +25,7 @@ LOG = "sasmap.log"
 STYLES = tuple(
     f"{name.rpartition('.')[0]}.qml"
     for name in (*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS)
-    if name.endswith((".tif", ".gpkg"))
+    if name.endswith((".tif", ".gpkg")) and name != "sediment_areas.gpkg"
 )
 PRODUCTS = frozenset(
     {

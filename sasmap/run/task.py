@@ -22,7 +22,6 @@ from sasmap.ripples.fusion import next_prior
 from sasmap.ripples.image import as_image, on_clip
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.priors import Prior
-from sasmap.ripples.removal import without_ripples
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import Summary, summarise
 from sasmap.run.plan import Plan, Swath
@@ -126,7 +125,7 @@ def _finished(
             arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
             arrays["reference"] = np.array(posterior.reference)
     if plan.settings.sediments is not None and pixels is not None:
-        amplitude, cotangent = _floor(plan, cell, pixels, arrays.pop("relief", None))
+        amplitude, cotangent = _floor(plan, cell, pixels)
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
     if arrays:
         store.save_arrays(key, arrays)
@@ -190,15 +189,13 @@ def finished_looks(plan: Plan, store: Store) -> int:
 def _modelled(
     plan: Plan, cell: Cell, clip: Clip, posterior: Posterior
 ) -> dict[str, NDArray[np.float32]]:
-    """Modelled amplitude and relief on a cell's own pixels, as far as the run needs them."""
+    """Modelled amplitude on a cell's own pixels, if it is kept."""
     settings = plan.settings.ripples
     assert settings is not None
     place = plan.opened.grid, cell, plan.settings.window
     found = {}
     if settings.keep_model and posterior.model is not None:
         found["model"] = on_cell(clip, posterior.model, *place)
-    if plan.settings.sediments is not None and posterior.relief is not None:
-        found["relief"] = on_cell(clip, posterior.relief, *place)
     return found
 
 
@@ -242,23 +239,20 @@ def extent_beside(
     return _packed(plan, cell, clip, on_clip(clip, image, np.max(found, axis=0)))
 
 
-def _floor(
-    plan: Plan, cell: Cell, pixels: Clip, relief: NDArray[np.float32] | None
-) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
-    """Amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels."""
+def _floor(plan: Plan, cell: Cell, pixels: Clip) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
+    """Amplitude and cotangent of grazing on a cell's own pixels."""
     place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    amplitude = without_ripples(on_cell(pixels, known, *place), relief)
+    amplitude = on_cell(pixels, known, *place)
     cotangent = on_cell(pixels, pixels.ground_range / pixels.altitude, *place)
     return amplitude.astype(np.float32), np.minimum(cotangent, 6e4).astype(np.float16)
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
-    """Return settings of the estimates: the sediment map needs the ripples' modelled amplitude."""
+    """Return settings of the estimates."""
     settings = plan.settings.ripples
     assert settings is not None
-    modelled = settings.keep_model or plan.settings.sediments is not None
-    return settings.model_copy(update={"keep_model": modelled})
+    return settings
 
 
 def clip_of(
@@ -363,7 +357,7 @@ def track_hash(track: Track) -> str:
 def read_floor(
     context: Context, cell: Cell, k: int, key: str | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Read amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels.
+    """Read amplitude and cotangent of grazing on a cell's own pixels.
 
     Parameters
     ----------
@@ -394,5 +388,5 @@ def read_floor(
     clip = clip_of(plan, cell, look, look.side)
     if clip is None:
         return None
-    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip), None)
+    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip))
     return amplitude.astype(float), cotangent.astype(float)

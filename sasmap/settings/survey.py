@@ -105,6 +105,9 @@ class SedimentSettings(_Block):
     model: Name | None = Field(
         None, description="sediment_classes.json of another run, whose classes are taken instead"
     )
+    least_area: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        0.5, description="m^2; smaller patches are given to the class that is nearest"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
