@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
+from sasmap.ripples.derived import UNKNOWN as UNDERIVED
+from sasmap.ripples.derived import Derived, derived_of_mixture
 from sasmap.ripples.mixture import disagreement, marginal, product, widened
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import Prior
@@ -44,6 +46,8 @@ class CellEstimate:
         Of f (cycles/m) and A_H (m).
     azimuth : tuple of float
         Axial mean (0 to 180) and standard deviation, degrees.
+    derived : Derived
+        Wavelength and steepness.
     """
 
     mean: tuple[float, float] = (NAN, NAN)
@@ -51,6 +55,7 @@ class CellEstimate:
     q05: tuple[float, float] = (NAN, NAN)
     q95: tuple[float, float] = (NAN, NAN)
     azimuth: tuple[float, float] = (NAN, NAN)
+    derived: Derived = UNDERIVED
 
 
 UNKNOWN = CellEstimate()
@@ -223,12 +228,14 @@ def _known(
         (f.q05, height.q05),
         (f.q95, height.q95),
         (turn.mean % 180, turn.sd),
+        derived_of_mixture(together, *bounds),
     )
 
 
 def of_summary(summary: Summary) -> CellEstimate:
     """Return what a look alone knows."""
-    return CellEstimate(summary.mean, summary.sd, summary.q05, summary.q95, summary.azimuth)
+    s = summary
+    return CellEstimate(s.mean, s.sd, s.q05, s.q95, s.azimuth, s.derived)
 
 
 def _doubtful(summaries: Sequence[Summary | None]) -> tuple[tuple[int, ...], CellEstimate]:

@@ -187,8 +187,12 @@ class Posterior:
         ValueError
             Where nothing was sampled.
         """
-        import arviz  # optional
-
+        try:
+            import arviz  # optional
+        except ImportError:
+            raise ImportError(
+                "ArviZ is not installed: pip install arviz (or pip install 'sasmap[studies]')"
+            ) from None
         if not self.sampled:
             raise ValueError("nothing was sampled")
         values = {str(name): self.draws[name].values for name in self.draws}

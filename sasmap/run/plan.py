@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -185,6 +186,22 @@ def tags_of(plan: Plan) -> dict[str, str]:
         "SURVEY": plan.settings.name,
         "RUN_ID": plan.run_id,
     }
+
+
+def recorded(plan: Plan) -> tuple[datetime, datetime] | None:
+    """First and last date that the passes give, UTC where none says else; None without any."""
+    given = [datetime.fromisoformat(p.date) for p in plan.settings.passes if p.date is not None]
+    dates = sorted(d.replace(tzinfo=UTC) if d.tzinfo is None else d.astimezone(UTC) for d in given)
+    return (dates[0], dates[-1]) if dates else None
+
+
+def dates_of(plan: Plan) -> str:
+    """Return the days of a survey as people write them; empty where no pass gives any."""
+    found = recorded(plan)
+    if found is None:
+        return ""
+    first, last = (d.date().isoformat() for d in found)
+    return first if first == last else f"{first} to {last}"
 
 
 def describe(plan: Plan) -> Iterable[str]:

@@ -183,6 +183,7 @@ def map_sediments(
     workers: int | None,
     scratch: Path,
     stack: ExitStack,
+    progress: Callable[[int, int], None] | None = None,
 ) -> SedimentMap | None:
     """Find or learn classes, map them and refine their boundaries.
 
@@ -199,6 +200,8 @@ def map_sediments(
         Folder of the rasters in the making.
     stack : ExitStack
         Closes them.
+    progress : callable, optional
+        Called with the number of cells that have been read and of all.
 
     Returns
     -------
@@ -233,7 +236,10 @@ def map_sediments(
     def classify(place: tuple[int, int]) -> None:
         _classify(place, side, seen, kept, number, label, confidence)
 
-    deque(mapped(weigh, product(range(ground.rows), range(ground.columns)), workers), 0)
+    every = product(range(ground.rows), range(ground.columns))
+    for done, _ in enumerate(mapped(weigh, every, workers), 1):
+        if progress is not None:
+            progress(done, ground.rows * ground.columns)
     rows, columns = ground.shape
     side = max(SIDE // ground.window, 1) * ground.window
     deque(mapped(classify, product(range(0, rows, side), range(0, columns, side)), workers), 0)

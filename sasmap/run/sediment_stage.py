@@ -20,6 +20,7 @@ from sasmap.products.sediments import write_sediments
 from sasmap.run.class_models import ClassModel, model_text
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan, tags_of
+from sasmap.run.scheduling import Progress
 from sasmap.run.sediment_map import Ground, map_sediments
 from sasmap.run.store import Store, code_version, digest
 from sasmap.run.task import Context, excluded_hash, read_floor, track_hash
@@ -32,12 +33,18 @@ log = logging.getLogger("sasmap")
 RECORD = "sediments.json"
 
 
-def sediment_stage(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> list[Path]:
+def sediment_stage(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    progress: Progress | None = None,
+) -> list[Path]:
     """Map sediments, or keep an earlier run's map of the same; returns the products."""
     key = _key(plan, outcome)
     kept = _kept(store, key)
     if kept is None:
-        return _map(plan, store, outcome, workers, key)
+        return _map(plan, store, outcome, workers, key, progress)
     outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
     return [store.output / name for name in kept["files"]]
 
@@ -80,7 +87,14 @@ def _kept(store: Store, key: str) -> dict[str, Any] | None:
         return None
 
 
-def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: str) -> list[Path]:
+def _map(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    key: str,
+    progress: Progress | None,
+) -> list[Path]:
     settings = plan.settings.sediments
     assert settings is not None
     grid, window = plan.opened.grid, plan.settings.window
@@ -90,7 +104,7 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
     transform = grid.pixels(window)
     with ExitStack() as stack:
         threads = workers or os.cpu_count() or 1
-        found = map_sediments(ground, count, _known(plan), threads, store.scratch, stack)
+        found = map_sediments(ground, count, _known(plan), threads, store.scratch, stack, progress)
         reader.record(outcome)
         if found is None:
             return []

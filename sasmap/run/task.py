@@ -29,6 +29,8 @@ from sasmap.survey.passes import Side, read_clip
 from sasmap.survey.placement import on_cell
 
 MIN_VALID = 0.25
+# Pixels a side of a modelled image, and draws a chain, that are kept for the report, at most.
+PICTURE, DRAWS = 250, 100
 
 
 class LookResult(NamedTuple):
@@ -96,7 +98,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
     else:
         posterior = _estimated(plan, cell, look, pixels, settings, prior)
         summary = summarise(posterior)
-        arrays = _modelled(plan, cell, pixels, posterior)
+        arrays = _modelled(plan, cell, pixels, posterior) | _pictured(posterior)
     if plan.settings.sediments is not None and pixels is not None:
         amplitude, cotangent = _floor(plan, cell, pixels, arrays.pop("relief", None))
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
@@ -113,37 +115,6 @@ def _estimated(
     return estimate(pixels, settings, rng=rng, prior=prior)
 
 
-def estimate_again(
-    context: Context, cell: Cell, k: int, summaries: Sequence[Summary | None]
-) -> tuple[xr.DataArray | None, Posterior | None]:
-    """Estimate a look once more, with its model: the same to the bit, for the report.
-
-    Parameters
-    ----------
-    context : Context
-    cell : Cell
-    k : int
-        Swath.
-    summaries : sequence of Summary or None
-        What the run found of each look at the cell.
-
-    Returns
-    -------
-    clip : DataArray or None
-    posterior : Posterior or None
-        None where the look was not estimated.
-    """
-    plan = context.plan
-    look = plan.swaths[k]
-    clip = clip_of(plan, cell, look, look.side)
-    summary = summaries[k]
-    if clip is None or summary is None or summary.quality is Quality.TOO_FEW_PIXELS:
-        return clip, None
-    settings = ripple_settings(plan).model_copy(update={"keep_model": True})
-    prior = next_prior(_earlier(summaries[:k], settings), settings)
-    return clip, _estimated(plan, cell, look, Clip.from_array(clip), settings, prior)
-
-
 def finished_looks(plan: Plan, store: Store) -> int:
     """Count the looks at cells that an earlier run has finished.
 
@@ -158,19 +129,54 @@ def finished_looks(plan: Plan, store: Store) -> int:
     return sum(store.path(key).exists() for key in keys)
 
 
-def _modelled(
-    plan: Plan, cell: Cell, clip: Clip, posterior: Posterior
-) -> dict[str, NDArray[np.float32]]:
+def _modelled(plan: Plan, cell: Cell, clip: Clip, posterior: Posterior) -> dict[str, NDArray[Any]]:
     """Modelled amplitude and relief on a cell's own pixels, as far as the run needs them."""
     settings = plan.settings.ripples
     assert settings is not None
     place = plan.opened.grid, cell, plan.settings.window
-    found = {}
-    if settings.keep_model and posterior.model is not None:
-        found["model"] = on_cell(clip, posterior.model, *place)
+    found: dict[str, NDArray[Any]] = {}
+    if posterior.model is not None:
+        model = on_cell(clip, posterior.model, *place)
+        found["picture"], found["picture_step"] = in_bytes(block_means(model, PICTURE))
+        if settings.keep_model:
+            found["model"] = model
     if plan.settings.sediments is not None and posterior.relief is not None:
         found["relief"] = on_cell(clip, posterior.relief, *place)
     return found
+
+
+def _pictured(posterior: Posterior) -> dict[str, NDArray[Any]]:
+    """Draws for the report, thinned."""
+    if not posterior.sampled:
+        return {}
+    step = max(1, -(-posterior.draws.sizes["draw"] // DRAWS))
+    names = ("frequency", "height")
+    return {name: posterior.draws[name].values[:, ::step].astype(np.float32) for name in names}
+
+
+def block_means(image: NDArray[Any], most: int) -> NDArray[Any]:
+    """Average an image (rows, columns) over squares, to at most so many pixels a side."""
+    factor = max(1, -(-max(image.shape) // most))
+    rows, columns = (-(-n // factor) for n in image.shape)
+    padded = np.full((rows * factor, columns * factor), np.nan)
+    padded[: image.shape[0], : image.shape[1]] = image
+    squares = padded.reshape(rows, factor, columns, factor)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, squares, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def in_bytes(image: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    """Quantise an image of values of at least 0 to a byte a pixel; 0 stands for NaN.
+
+    Returns the bytes and the step, so that the image is ``(bytes - 1) * step``.
+    """
+    known = np.isfinite(image)
+    top = float(np.max(image, where=known, initial=0.0))
+    step = top / 254 if top > 0 else 1.0
+    values = np.where(known, 1 + np.rint(np.nan_to_num(image) / step), 0)
+    return values.astype(np.uint8), np.array(step)
 
 
 def _floor(
@@ -185,11 +191,10 @@ def _floor(
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
-    """Return settings of the estimates: the sediment map needs the ripples' modelled amplitude."""
+    """Return settings of the estimates: map and report need the ripples' modelled amplitude."""
     settings = plan.settings.ripples
     assert settings is not None
-    modelled = settings.keep_model or plan.settings.sediments is not None
-    return settings.model_copy(update={"keep_model": modelled})
+    return settings.model_copy(update={"keep_model": True})
 
 
 def clip_of(plan: Plan, cell: Cell, look: Swath, side: Side) -> xr.DataArray | None:
