@@ -355,33 +355,3 @@ RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS = files_of("ripples"), files_of("sediments")
 STYLES = tuple(product.style for product in CATALOGUE if product.layer)
 # All that a run may write.
 PRODUCTS = frozenset({*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS, *files_of("run"), *STYLES})
-
-_HEAD = """# Products
-
-Made from the program's own catalogue by `python -m sasmap.catalogue > docs/products.md`. Rasters
-are Cloud-Optimized GeoTIFF; units and descriptions are in their bands.
-"""
-_KINDS = {
-    "cells": "raster, a pixel a cell",
-    "cell codes": "raster of codes, a pixel a cell",
-    "pixels": "raster, full resolution",
-    "pixel codes": "raster of codes, full resolution",
-    "polygons": "GeoPackage of polygons",
-    "lines": "GeoPackage of lines",
-    "file": "",
-}
-
-
-def catalogue_reference() -> str:
-    """Return the page of all products, in Markdown."""
-    lines = [_HEAD, "| file | kind | what it holds | bands (unit) |", "|---|---|---|---|"]
-    for p in CATALOGUE:
-        units = {b.unit for b in p.bands}
-        unit = f" ({units.pop()})" if len(units) == 1 and units != {""} else ""
-        bands = "; ".join(b.text for b in p.bands) + unit
-        lines.append(f"| `{p.file}` | {_KINDS[p.kind]} | {p.sentence} | {bands} |")
-    return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    print(catalogue_reference(), end="")

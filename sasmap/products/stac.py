@@ -63,14 +63,14 @@ def write_stac(
     item: dict[str, Any] = {
         "type": "Feature",
         "stac_version": "1.0.0",
-        "stac_extensions": ["https://stac-extensions.github.io/projection/v1.1.0/schema.json"],
+        "stac_extensions": ["https://stac-extensions.github.io/projection/v2.0.0/schema.json"],
         "id": identity,
         "geometry": {"type": "Polygon", "coordinates": [ring]},
         "bbox": [west, south, east, north],
         "properties": {
             **_times(recorded),
             "title": title,
-            "proj:epsg": int(authority[1]) if authority and authority[0] == "EPSG" else None,
+            "proj:code": ":".join(authority) if authority else None,
             "proj:wkt2": known.to_wkt(),
             "proj:bbox": list(box),
         },

@@ -25,7 +25,7 @@ from sasmap.ripples.fusion import fuse
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.run.answers import summary_lines
-from sasmap.run.cost import check_fits
+from sasmap.run.cost import check_fits, compiled
 from sasmap.run.lock import LOCK, locked
 from sasmap.run.manifest import Clock, Outcome, write_manifest
 from sasmap.run.mosaic import write_mosaic
@@ -205,6 +205,8 @@ def _estimate_cells(
     assert settings is not None
     cells = list(plan.cells)
     log.info("%d cells, %d looks at them", len(cells), sum(map(len, plan.cells.values())))
+    if not compiled():
+        log.info("compiling first, once after an installation or update: about a minute")
     told = None if progress is None else partial(progress, "ripples")
     found = compute(Context(plan, store), cells, workers, client, told)
     done = dict(zip(cells, found, strict=True))

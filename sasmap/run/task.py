@@ -115,6 +115,18 @@ def _estimated(
     return estimate(pixels, settings, rng=rng, prior=prior)
 
 
+def try_look(plan: Plan, cell: Cell, k: int) -> None:
+    """Do what a look at a cell takes, and keep nothing: for `plan`, which times it."""
+    swath, settings = plan.swaths[k], ripple_settings(plan)
+    clip = clip_of(plan, cell, swath, swath.side)
+    if clip is None or _shown(plan, cell, swath, clip) < MIN_VALID:
+        return
+    pixels = Clip.from_array(clip)
+    posterior = _estimated(plan, cell, swath, pixels, settings, next_prior([], settings))
+    summarise(posterior)
+    _modelled(plan, cell, pixels, posterior)
+
+
 def finished_looks(plan: Plan, store: Store) -> int:
     """Count the looks at cells that an earlier run has finished.
 

@@ -29,6 +29,10 @@ PRODUCTS = (
     "sediment_class.tif",
     "sediment_confidence.tif",
     "sediment_boundaries.gpkg",
+    "ripple_steepness.tif",
+    "ripple_cells.gpkg",
+    "ripple_cells.csv",
+    "mosaic.tif",
 )
 
 
@@ -102,7 +106,9 @@ def test_manifest_says_what_ran_and_what_was_left_out(sample):
         "near/near_r0_c0.tif", "near.csv", "far/far_r0_c0.tif", "far.csv",
     }  # fmt: skip
     assert manifest["looks_computed"] == 12
-    assert set(manifest["seconds"]) == {"check", "ripples", "products", "sediments", "report"}
+    assert set(manifest["seconds"]) == {
+        "check", "ripples", "products", "sediments", "mosaic", "report",
+    }  # fmt: skip
     levels = [c["intensity_dB_over_first"] for c in manifest["sediment_classes"]]
     np.testing.assert_allclose(levels, [0.0, 4.56, 7.98], atol=0.3)  # mud, sand, gravel
     assert manifest["settings"]["ripples"]["chains"] == 4
@@ -142,7 +148,7 @@ def test_one_worker_restarted_gives_the_same_bytes_as_two(sample, tmp_path):
     assert products(tmp_path / "out") == products(output)
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_interrupted_and_resumed_gives_the_same_bytes(sample, tmp_path, kind):
     output, _ = sample
     command = [
@@ -163,7 +169,9 @@ def test_interrupted_and_resumed_gives_the_same_bytes(sample, tmp_path, kind):
         time.sleep(0.02)
     process.send_signal(kind)
     status = process.wait(timeout=200)
-    assert status == (130 if kind == signal.SIGINT else -signal.SIGKILL)
+    assert status == (-signal.SIGKILL if kind == signal.SIGKILL else 130)
+    ended = {signal.SIGINT: "ended: interrupted", signal.SIGTERM: "ended: terminated"}
+    assert ended.get(kind, "") in (tmp_path / "sasmap.log").read_text(encoding="utf-8")
     assert not list(tmp_path.glob("*.tif"))
     survey = sasmap.load_survey(SAMPLE / "survey.yaml")
     resumed = run_survey(survey, output=tmp_path, workers=2)
