@@ -65,7 +65,8 @@ def statistics(estimate: CellEstimate, quantity: str) -> tuple[float, ...]:
     if quantity == "steepness":
         return tuple(estimate.derived.steepness)
     if quantity == "wavelength":  # falls with f: the quantiles change places
-        return (*estimate.derived.wavelength, 1 / estimate.q95[0], 1 / estimate.q05[0])
+        ends = (1 / f if f > 0 else float("nan") for f in (estimate.q95[0], estimate.q05[0]))
+        return (*estimate.derived.wavelength, *ends)
     i = 0 if quantity == "frequency" else 1
     factor = 2.0 if quantity == "crest_to_trough" else 1.0
     return tuple(factor * getattr(estimate, name)[i] for name in STATISTICS)

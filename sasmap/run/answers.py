@@ -50,10 +50,11 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
         area = len(good) * plan.opened.grid.size**2
         beside = f"of {len(outcome.fused)}; {area:,.0f} m² with a converged estimate"
         yield Answer("Rippled cells", str(len(good)), beside)
-    if good:
+    if good:  # by the default method, which knows their azimuth
         yield _typical("Wavelength", _table(good, "wavelength"))
         yield _typical("Height, crest to trough", _table(good, "crest_to_trough"))
-        mean, spread = axial(np.array([c.azimuth[0] for c in good]))
+        known = np.array([c.azimuth[0] for c in good])
+        mean, spread = axial(known[np.isfinite(known)])
         beside = f"clockwise from grid north, where crests run; spread {spread:.1f}°"
         yield Answer("Crest direction", f"{(mean + 90) % 180:.0f}°", beside)
     if outcome.sediments:
