@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.errors import InputError, check_file
+from sasmap.io.jsonfile import finite
 from sasmap.sediments.fitting import FAMILIES, Law
 from sasmap.sediments.segmentation import Classes
 
@@ -61,7 +62,7 @@ def model_text(names: Sequence[str], classes: Classes) -> str:
             {"name": name, **asdict(law)} for name, law in zip(names, classes.laws, strict=True)
         ],
     }
-    return json.dumps(content, indent=2) + "\n"
+    return json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
 
 
 def read_model(path: Path) -> ClassModel:
@@ -107,8 +108,8 @@ def law_of(content: dict[str, Any]) -> Law:
     ValueError, KeyError, TypeError
         Where it is none.
     """
-    values = {f.name: content[f.name] for f in fields(Law)}
-    law = Law(**{**values, "errors": tuple(values["errors"])})
+    values = {f.name: _number(content[f.name]) for f in fields(Law)}
+    law = Law(**{**values, "errors": tuple(_number(v) for v in values["errors"])})
     numbers = (law.scale, law.mean_square)
     shaped = law.family in ("rayleigh", "rice") or law.shape > 0
     if law.family not in FAMILIES or not shaped or not all(0 < v < np.inf for v in numbers):
@@ -116,3 +117,8 @@ def law_of(content: dict[str, Any]) -> Law:
     if not 0 <= law.kappa < np.inf:
         raise ValueError("kappa: expected at least 0")
     return law
+
+
+def _number(value: Any) -> Any:
+    """Read null, as JSON has no NaN."""
+    return float("nan") if value is None else value

@@ -29,7 +29,7 @@ def test_lengths_and_heights_follow_from_f_and_a_h(sample):
     np.testing.assert_allclose(crest, 2 * height, rtol=1e-6)
     np.testing.assert_allclose(length[2], 1 / f[3], rtol=1e-6)  # quantiles change places
     np.testing.assert_allclose(length[3], 1 / f[2], rtol=1e-6)
-    np.testing.assert_allclose(length[0] * f[0], 1, rtol=1e-4)
+    np.testing.assert_allclose(length[0], 1 / f[0], rtol=1e-4)
     np.testing.assert_allclose(length[1], f[1] / f[0] ** 2, rtol=0.02)
     np.testing.assert_allclose(steep[0], 2 * height[0] * f[0], rtol=1e-3)
     known = np.isfinite(steep[0])
