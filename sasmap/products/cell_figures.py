@@ -145,10 +145,8 @@ def growth_figure(cells: Sequence[FusedCell], swaths: Sequence[str]) -> Picture 
         steps = [k for k in range(len(swaths)) if known[:, k].any()]
         middle = [100 * float(np.median(sd[known[:, k], k])) for k in steps]
         axes.semilogy(steps, middle, "o-", color=colour, label=name)
-    axes.set_xticks(range(len(swaths)), [f"+ {s}" if k else s for k, s in enumerate(swaths)])
-    plain_ticks = axes.get_xticklabels()
-    for text in plain_ticks:
-        text.set_fontsize(8)
+    labels = [f"+ {s}" if k else s for k, s in enumerate(swaths)]
+    axes.set_xticks(range(len(swaths)), labels)
     axes.set_ylabel("median sd (% of the value)", fontsize=8)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("{x:g}")

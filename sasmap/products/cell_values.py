@@ -22,6 +22,9 @@ QUANTITIES = {
     "ripple_height.tif": "height",
 }
 
+# m: the finest that a label on a map tells.
+MILLIMETRE = 1e-3
+
 Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
 FusedCells = Mapping[tuple[int, int], FusedCell]
 
@@ -195,11 +198,17 @@ def attributes(results: Sequence[CellResult]) -> dict[str, list[Any]]:
 
 
 def label(estimate: CellEstimate) -> str:
-    """Wavelength and height of a cell as a map says them, with the digits that are known."""
+    """Wavelength and height of a cell as a map says them: to a millimetre, no finer than known."""
     length, height = (statistics(estimate, k) for k in ("wavelength", "crest_to_trough"))
     if not np.isfinite(length[0]):
         return ""
-    return f"λ {measured(length[0], length[1])} m\nH {measured(height[0], height[1])} m"
+    return f"λ {_on_a_map(*length[:2])} m\nH {_on_a_map(*height[:2])} m"
+
+
+def _on_a_map(value: float, sd: float) -> str:
+    if np.isfinite(sd) and sd < MILLIMETRE / 2:  # nothing of it would be left
+        return f"{value:.3f}"
+    return f"{value:.3f} ± {sd:.3f}" if sd < 10 * MILLIMETRE else measured(value, sd)
 
 
 def measured(value: float, sd: float) -> str:

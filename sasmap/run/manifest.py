@@ -17,7 +17,7 @@ from sasmap.io.jsonfile import write_json
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
-from sasmap.run.plan import Plan
+from sasmap.run.plan import Plan, crs_name
 from sasmap.run.store import Store, code_version
 
 
@@ -59,6 +59,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
             "rows": plan.opened.grid.rows,
             "columns": plan.opened.grid.columns,
             "cell_size_m": plan.opened.grid.size,
+            "crs": crs_name(plan.opened.grid.crs),
         },
         "cells_by_quality": outcome.counts(),
         "looks_computed": outcome.computed,

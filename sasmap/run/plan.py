@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pyproj
 import shapely
 
 from sasmap.errors import InputError
@@ -188,6 +189,13 @@ def tags_of(plan: Plan) -> dict[str, str]:
     }
 
 
+def crs_name(wkt: str) -> str:
+    """Return a CRS as people name it, with its code where it has one."""
+    crs = pyproj.CRS.from_wkt(wkt)
+    authority = crs.to_authority()
+    return f"{crs.name} ({':'.join(authority)})" if authority else str(crs.name)
+
+
 def recorded(plan: Plan) -> tuple[datetime, datetime] | None:
     """First and last date that the passes give, UTC where none says else; None without any."""
     given = [datetime.fromisoformat(p.date) for p in plan.settings.passes if p.date is not None]
@@ -210,6 +218,7 @@ def describe(plan: Plan) -> Iterable[str]:
     looks = [len(k) for k in plan.cells.values()]
     yield f"survey: {plan.settings.name}"
     yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    yield f"crs: {crs_name(grid.crs)}"
     for p in plan.opened.passes:
         met = sum(any(plan.swaths[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
         sides = " and ".join(p.sides)

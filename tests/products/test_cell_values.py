@@ -1,5 +1,6 @@
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyogrio
@@ -11,8 +12,9 @@ import xarray as xr
 import sasmap
 from sasmap.catalogue import BY_FILE, CATALOGUE
 from sasmap.errors import InputError
-from sasmap.products.cell_values import measured, statistics
+from sasmap.products.cell_values import label, measured, statistics
 from sasmap.products.ranges import range_of, widened
+from sasmap.ripples.derived import Derived
 from sasmap.ripples.fusion import CellEstimate
 
 
@@ -140,6 +142,15 @@ def test_values_are_told_with_the_digits_that_are_known():
     assert measured(12.3456, 1.2) == "12.3 ± 1.2"
     assert measured(1234.5, 250.0) == "1234 ± 250"
     assert measured(0.5, float("nan")) == "0.5"
+
+
+def test_labels_tell_millimetres_at_most():
+    derived = Derived((1.66618, 0.00031), (0.08, 0.01, 0.07, 0.09))
+    estimate = CellEstimate((0.6, 0.07037), (1e-4, 7e-4), (0.59, 0.06), (0.61, 0.08), (90.0, 1.0))
+    assert label(replace(estimate, derived=derived)) == "λ 1.666 m\nH 0.141 ± 0.001 m"
+    derived = Derived((12.3456, 0.8), (0.08, 0.01, 0.07, 0.09))
+    assert label(replace(estimate, derived=derived)).startswith("λ 12.35 ± 0.80 m")
+    assert label(CellEstimate()) == ""
 
 
 def test_a_wide_posterior_of_f_gives_a_skewed_wavelength():
