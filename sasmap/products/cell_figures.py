@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from sasmap.products.colours import Colour
@@ -148,10 +149,11 @@ def growth_figure(cells: Sequence[FusedCell], swaths: Sequence[str]) -> Picture 
     labels = [f"+ {s}" if k else s for k, s in enumerate(swaths)]
     axes.set_xticks(range(len(swaths)), labels)
     axes.set_ylabel("median sd (% of the value)", fontsize=8)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("{x:g}")
-    axes.tick_params(which="both", labelsize=7)
-    axes.grid(alpha=0.3, which="both")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(labelsize=7)
+    axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     count = len(several)
     caption = (
