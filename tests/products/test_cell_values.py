@@ -4,16 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pyogrio
+import pyproj
 import pytest
 import rasterio
 import shapely
 import xarray as xr
+from affine import Affine
 
 import sasmap
-from sasmap.catalogue import BY_FILE, CATALOGUE
+from sasmap.catalogue import BY_FILE, CATALOGUE, Band, Product, Ramp
 from sasmap.errors import InputError
-from sasmap.products.cell_values import label, measured, statistics
+from sasmap.products.cell_values import VALUES, cell_results, label, measured, statistics
 from sasmap.products.ranges import range_of, widened
+from sasmap.products.ripples import write_ripple_rasters
 from sasmap.ripples.derived import Derived
 from sasmap.ripples.fusion import CellEstimate
 
@@ -172,6 +175,28 @@ def test_colours_span_at_least_what_is_uncertain(sample):
     low, high = widened(np.array([1e-3]), np.array([0.01]))
     assert low == 0.0  # a height is not negative
     assert high == pytest.approx(0.021)
+
+
+def test_a_new_product_takes_one_entry_and_one_writer(sample, tmp_path, monkeypatch):
+    _, outcome = sample
+    entry = Product(
+        "ripple_age.tif",
+        "ripples",
+        "cells",
+        "Age",
+        "How old.",
+        (Band("age", "d"),),
+        Ramp("viridis"),
+    )
+    monkeypatch.setattr("sasmap.products.ripples.CATALOGUE", (entry,))
+    monkeypatch.setitem(VALUES, "ripple_age.tif", lambda cell: [float(len(cell.used))])
+    results = cell_results(outcome.cells, outcome.fused, ["near", "far"])
+    place = Affine(12.5, 0, 500000, 0, -12.5, 3300025), pyproj.CRS.from_epsg(32617).to_wkt()
+    (path,) = write_ripple_rasters(tmp_path, results, (2, 3), *place, {}, tmp_path)
+    with rasterio.open(path) as source:
+        assert source.descriptions == ("age",)
+        assert source.units == ("d",)
+        assert set(source.read(1).ravel()) <= {0.0, 1.0, 2.0}
 
 
 def test_titles_of_the_catalogue_are_all_different():

@@ -4,6 +4,7 @@ import shutil
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 
+import pyproj
 import pytest
 
 import sasmap
@@ -100,10 +101,10 @@ def test_stac_item_is_valid_and_bears_the_passes_dates(sample, tmp_path):
     content = json.loads((output / "stac.json").read_text())
     first = datetime(2024, 5, 1, tzinfo=UTC)
     last = datetime(2024, 5, 3, 14, 30, tzinfo=UTC)
-    box = 500000.0, 3300000.0, 500037.5, 3300025.0
+    box, crs = (500000.0, 3300000.0, 500037.5, 3300025.0), pyproj.CRS.from_epsg(32617).to_wkt()
     for span in (None, (first, first), (first, last)):
         path = tmp_path / "stac.json"
-        write_stac(path, content["id"], "a", box, "EPSG:32617", ["mosaic.tif"], span, tmp_path)
+        write_stac(path, content["id"], "a", box, crs, ["mosaic.tif"], span, tmp_path)
         item = pystac.Item.from_file(path)
         pystac.validation.validate_dict(
             item.to_dict() | {"stac_extensions": []}  # whose schemas lie on the network
