@@ -16,6 +16,8 @@ from sasmap.products.figures import INK, Picture, encoded, plain, scale_bar
 from sasmap.ripples.fusion import FusedCell
 from sasmap.sediments.fitting import Law
 
+# Names of passes that stand side by side under a figure, at most.
+FEW = 3
 # Quantile of the clip's amplitudes that is drawn white, and colour of the arrow along the look.
 BRIGHT, LOOK = 0.97, "#ffd166"
 
@@ -147,7 +149,8 @@ def growth_figure(cells: Sequence[FusedCell], swaths: Sequence[str]) -> Picture 
         middle = [100 * float(np.median(sd[known[:, k], k])) for k in steps]
         axes.semilogy(steps, middle, "o-", color=colour, label=name)
     labels = [f"+ {s}" if k else s for k, s in enumerate(swaths)]
-    axes.set_xticks(range(len(swaths)), labels)
+    turn = 30 if len(swaths) > FEW else 0
+    axes.set_xticks(range(len(swaths)), labels, rotation=turn, ha="right" if turn else "center")
     axes.set_ylabel("median sd (% of the value)", fontsize=8)
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
