@@ -82,7 +82,8 @@ def _chosen(outcome: Outcome) -> Iterator[tuple[str, Cell]]:
     if good:
         places = {0: "Best", len(good) // 2: "Median", len(good) - 1: "Worst"}
         if len(good) == 1:
-            places = {0: "Only"}
+            yield "The only good cell", Cell(*good[0])
+            places = {}
         for place in sorted(places):
             yield f"{places[place]} of the good cells, by the sd of A_H", Cell(*good[place])
     flagged = [

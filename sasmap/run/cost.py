@@ -26,7 +26,7 @@ FLAT, RIPPLED = 1e-6, 4.0
 # map, and of the mosaic (each look); seconds of start, products and report together (the same).
 FOUND, MAPPED, LAID, FIXED = 8e-7, 5e-7, 5e-7, 8.0
 # Looks that `plan` times, at most, of each so many, and seconds after which it times no more.
-TIMED, SHARE, ENOUGH = 8, 4, 15.0
+TIMED, SHARE, ENOUGH = 8, 3, 15.0
 # Bytes of the process and its libraries; a pixel of a cell in work; a pixel of the sample.
 BASE, WORKING, SAMPLED = 400e6, 300.0, 130.0
 # Bytes on disk: of a look at a cell with its picture; of its pixels for the sediment map, and
@@ -113,7 +113,7 @@ def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
 def _timed(plan: Plan, left: int) -> list[float]:
     """Seconds of looks at cells spread over the survey."""
     looks = [(cell, k) for cell, swaths in plan.cells.items() for k in swaths]
-    count = min(max(left // SHARE, 1), TIMED)
+    count = min(max(left // SHARE, 2), left, TIMED)
     seconds: list[float] = []
     for i in range(count):
         cell, k = looks[(2 * i + 1) * len(looks) // (2 * count)]

@@ -120,10 +120,15 @@ def _passes(plan: Plan) -> Iterator[dict[str, Any]]:
 
 def _grid(plan: Plan) -> str:
     grid = plan.opened.grid
+    rows, columns = _count(grid.rows, "row"), _count(grid.columns, "column")
     return (
-        f"{grid.rows} rows and {grid.columns} columns of cells of {grid.size:g} m, "
-        f"{plan.settings.window} pixels a side; {len(plan.cells)} of them meet a tile."
+        f"{rows} and {columns} of cells of {grid.size:g} m, {plan.settings.window} pixels a side; "
+        f"{len(plan.cells)} of them meet a tile."
     )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _quality(outcome: Outcome) -> list[dict[str, Any]]:
