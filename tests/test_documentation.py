@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from sasmap.products.reference import catalogue_reference
 from sasmap.settings.reference import survey_reference
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -30,6 +31,20 @@ def test_examples_of_docstrings(name, monkeypatch):
 
 def test_reference_of_keys_is_that_of_the_model():
     assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == survey_reference()
+
+
+def test_page_of_products_is_that_of_the_catalogue():
+    assert (ROOT / "docs" / "products.md").read_text(encoding="utf-8") == catalogue_reference()
+
+
+def test_to_arviz_tells_what_to_install(monkeypatch):
+    from sasmap.ripples.posterior import Posterior, Quality
+    from sasmap.ripples.priors import Prior
+
+    monkeypatch.setitem(sys.modules, "arviz", None)  # as if it were not installed
+    posterior = Posterior(Quality.GOOD, Prior.natural((0.05, 5.0), (0.0, 0.5)))
+    with pytest.raises(ImportError, match="pip install arviz"):
+        posterior.to_arviz()
 
 
 def test_files_that_the_readme_names_are_there():

@@ -6,7 +6,7 @@ Everything of the map's size lies on disk; memory does not grow with the survey.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -165,6 +165,7 @@ def map_sediments(
     scratch: Path,
     stack: ExitStack,
     least: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> SedimentMap | None:
     """Find or learn classes, map them and refine their boundaries.
 
@@ -183,6 +184,8 @@ def map_sediments(
         Closes them.
     least : float
         Pixels of the smallest patch that the map shows.
+    progress : callable, optional
+        Called with the number of cells that have been read and of all.
 
     Returns
     -------
@@ -208,7 +211,10 @@ def map_sediments(
     def classify(part: Part) -> None:
         _classify(surface, classes, part, kept, label, confidence)
 
-    deque(mapped(classify, surface.blocks(SIDE), workers), 0)
+    blocks = list(surface.blocks(SIDE))
+    for done, _ in enumerate(mapped(classify, blocks, workers), 1):
+        if progress is not None:
+            progress(done, len(blocks))
     # a pixel's log odds by texture are those of a window: a boundary may count them but once
     step = STEP if classes.texture is None else STEP / SHARED
     layers = [Quantised(layer, step) for layer in kept]
