@@ -1,11 +1,11 @@
-"""GeoPackages of lines and areas, written byte for byte the same for the same shapes."""
+"""GeoPackages, written byte for byte the same for the same features."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyogrio
@@ -16,7 +16,7 @@ from sasmap.io.files import written_whole
 
 FloatArray = NDArray[np.float64]
 
-# The date that GDAL would write is fixed, so that bytes are a function of the shapes alone.
+# The date that GDAL would write is fixed, so that bytes are a function of the features alone.
 DATE = "2000-01-01T00:00:00.000Z"
 
 
@@ -39,6 +39,32 @@ class Feature(NamedTuple):
     position_sd: float
 
 
+class Area(NamedTuple):
+    """An area of one sediment on the map.
+
+    Attributes
+    ----------
+    shape : shapely geometry
+        Polygon or multipolygon, map coordinates.
+    number : int
+        Of its class.
+    name, code : str
+    area : float
+        m^2.
+    confidence : float
+        Mean probability of the class.
+    rippled : bool
+    """
+
+    shape: Any
+    number: int
+    name: str
+    code: str
+    area: float
+    confidence: float
+    rippled: bool
+
+
 def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch: Path) -> None:
     """Write layer ``boundaries`` of a GeoPackage, whole or not at all.
 
@@ -56,19 +82,51 @@ def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch:
         Where the file cannot be written.
     """
     lines = [shapely.LineString(f.points) for f in features]
-    fields: dict[str, NDArray[Any]] = {
-        k: np.array([getattr(f, k) for f in features], object) for k in ("left", "right")
+    columns = {
+        "left": np.array([f.left for f in features], object),
+        "right": np.array([f.right for f in features], object),
+        "position_sd": np.array([f.position_sd for f in features], np.float64),
     }
-    fields["position_sd"] = np.array([f.position_sd for f in features], np.float64)
-    write_layer(path, "boundaries", "LineString", lines, fields, crs, scratch)
+    write_layer(path, "boundaries", "LineString", lines, columns, crs, scratch)
+
+
+def write_areas(path: Path, areas: Sequence[Area], crs: str, scratch: Path) -> None:
+    """Write layer ``areas`` of a GeoPackage, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    areas : sequence of Area
+    crs : str
+        WKT.
+    scratch : Path
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written.
+    """
+    columns = {
+        "class": np.array([a.number for a in areas], np.int32),
+        "name": np.array([a.name for a in areas], object),
+        "code": np.array([a.code for a in areas], object),
+        "area_m2": np.array([a.area for a in areas], np.float64),
+        "confidence": np.array([a.confidence for a in areas], np.float64),
+        "rippled": np.array([a.rippled for a in areas], bool),
+    }
+    shapes = [
+        a.shape if a.shape.geom_type == "MultiPolygon" else shapely.MultiPolygon([a.shape])
+        for a in areas
+    ]
+    write_layer(path, "areas", "MultiPolygon", shapes, columns, crs, scratch)
 
 
 def write_layer(
     path: Path,
     layer: str,
-    kind: str,
+    kind: Literal["LineString", "Polygon", "MultiPolygon"],
     shapes: Sequence[Any],
-    fields: Mapping[str, NDArray[Any]],
+    columns: Mapping[str, NDArray[Any]],
     crs: str,
     scratch: Path,
 ) -> None:
@@ -78,11 +136,12 @@ def write_layer(
     ----------
     path : Path
     layer : str
+        Its name.
     kind : str
-        "LineString" or "Polygon".
+        Type of all its geometries.
     shapes : sequence of shapely geometry
-    fields : mapping of str to ndarray
-        A value a shape.
+    columns : mapping of str to ndarray (n,)
+        Attributes: integers, floats (NaN becomes null), or objects of text.
     crs : str
         WKT.
     scratch : Path
@@ -98,9 +157,9 @@ def write_layer(
         try:
             pyogrio.raw.write(
                 draft,
-                np.asarray(shapely.to_wkb(list(shapes)), object),
-                list(fields.values()),
-                list(fields),
+                np.asarray(shapely.to_wkb(np.asarray(shapes, object)), object),
+                list(columns.values()),
+                list(columns),
                 driver="GPKG",
                 layer=layer,
                 geometry_type=kind,

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from sasmap.ripples.derived import UNKNOWN as UNDERIVED
+from sasmap.ripples.derived import Derived
 from sasmap.ripples.looks import (
     LAW,
     Information,
@@ -63,9 +65,8 @@ class CellEstimate:
         Of f (cycles/m) and A_H (m).
     azimuth : tuple of float
         Axial mean (0 to 180) and standard deviation, degrees.
-    steepness : tuple of float
-        Mean, standard deviation and quantiles 0.05 and 0.95 of 2 A_H f, crest to trough over
-        wavelength.
+    derived : Derived
+        Wavelength and steepness.
     """
 
     mean: tuple[float, float] = (NAN, NAN)
@@ -73,7 +74,7 @@ class CellEstimate:
     q05: tuple[float, float] = (NAN, NAN)
     q95: tuple[float, float] = (NAN, NAN)
     azimuth: tuple[float, float] = (NAN, NAN)
-    steepness: tuple[float, float, float, float] = (NAN, NAN, NAN, NAN)
+    derived: Derived = UNDERIVED
 
 
 UNKNOWN = CellEstimate()
@@ -481,11 +482,13 @@ def estimates(
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])
+    anywhere = np.array([-np.inf, np.inf])
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
     logs = [
         (mean[..., 0], variance[..., 0], bounds[0]),
         (mean[..., 1], variance[..., 1], bounds[1]),
-        (np.log(2) + mean[..., 0] + mean[..., 1], ratio, np.array([-np.inf, np.inf])),
+        (np.log(2) + mean[..., 0] + mean[..., 1], ratio, anywhere),
+        (-mean[..., 0], variance[..., 0], -bounds[0][::-1]),
     ]
     found = [marginals(weight, m, np.sqrt(np.maximum(v, 1e-20)), b) for m, v, b in logs]
     turn = (weight * mean[..., 2]).sum(axis=1)
@@ -497,7 +500,7 @@ def estimates(
             q05=_pair(found, "q05", i),
             q95=_pair(found, "q95", i),
             azimuth=(float(turn[i] % 180), float(np.sqrt(spread[i]))),
-            steepness=_quadruple(found[2], i),
+            derived=_derived(found, i),
         )
         for i in range(len(level))
     ]
@@ -508,9 +511,10 @@ def _pair(found: list[Marginal], name: str, i: int) -> tuple[float, float]:
     return float(getattr(found[0], name)[i]), float(getattr(found[1], name)[i])
 
 
-def _quadruple(found: Marginal, i: int) -> tuple[float, float, float, float]:
-    mean, sd, q05, q95 = (float(values[i]) for values in found)
-    return mean, sd, q05, q95
+def _derived(found: list[Marginal], i: int) -> Derived:
+    mean, sd, q05, q95 = (float(values[i]) for values in found[2])
+    length = found[3]
+    return Derived((float(length.mean[i]), float(length.sd[i])), (mean, sd, q05, q95))
 
 
 def _steepness(settings: RippleSettings) -> tuple[float, float]:
@@ -518,11 +522,9 @@ def _steepness(settings: RippleSettings) -> tuple[float, float]:
 
 
 def of_summary(summary: Summary) -> CellEstimate:
-    """Return what a look alone knows; of the steepness the mean."""
-    steepness = (2 * summary.mean[0] * summary.mean[1], NAN, NAN, NAN)
-    return CellEstimate(
-        summary.mean, summary.sd, summary.q05, summary.q95, summary.azimuth, steepness
-    )
+    """Return what a look alone knows."""
+    s = summary
+    return CellEstimate(s.mean, s.sd, s.q05, s.q95, s.azimuth, s.derived)
 
 
 def _doubtful(summaries: Sequence[Summary | None]) -> tuple[tuple[int, ...], CellEstimate]:

@@ -212,14 +212,16 @@ class Posterior:
         ValueError
             Where nothing was sampled.
         """
-        import arviz  # optional
-
         if not self.sampled:
             raise ValueError("nothing was sampled")
         values = {str(name): self.draws[name].values for name in self.draws}
-        if hasattr(arviz, "InferenceData"):
+        try:
+            from arviz_base import from_dict  # what ArviZ is made of since 1.0
+        except ImportError:
+            import arviz
+
             return arviz.from_dict(posterior=values)
-        return arviz.from_dict({"posterior": values})
+        return from_dict({"posterior": values})
 
     @property
     def _judged(self) -> dict[str, FloatArray]:

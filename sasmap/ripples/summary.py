@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
+from sasmap.ripples.derived import UNKNOWN, Derived, derived_of_draws
 from sasmap.ripples.mixture import fit_mixture
 from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality, axial
 
@@ -29,6 +30,8 @@ class Summary:
     ----------
     mean, sd, q05, q95 : tuple of float
         Of f (cycles/m) and A_H (m), by this look alone (with the published method: combined).
+    derived : Derived
+        Wavelength and steepness.
     rhat, ess_bulk, ess_tail : tuple of float
         Of f, A_H and the azimuth.
     correlation : float
@@ -79,6 +82,7 @@ class Summary:
     ess_tail: tuple[float, float, float] = (NAN, NAN, NAN)
     acceptance: float = NAN
     azimuth: tuple[float, float] = (NAN, NAN)
+    derived: Derived = UNKNOWN
     mixture: tuple[Numbers, ...] = ()
     probability: float = NAN
     coherence_length: float = NAN
@@ -150,6 +154,7 @@ def summarise(posterior: Posterior) -> Summary:
         acceptance=posterior.acceptance,
         azimuth=posterior.azimuth,
         mixture=_mixture(posterior),
+        derived=derived_of_draws(*draws),
         probability=posterior.probability,
         **_second(posterior),
         **_shape(posterior),

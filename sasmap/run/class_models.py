@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.errors import InputError, check_file
+from sasmap.io.jsonfile import finite
 from sasmap.sediments.fitting import FAMILIES, Law
 from sasmap.sediments.segmentation import Classes
+from sasmap.sediments.texture import BINS, CHANNELS, WINDOWS, Texture
 
 FORMAT = "sasmap sediment classes 1"
 MAX_BYTES = 2**24
@@ -25,6 +27,7 @@ class ClassModel(NamedTuple):
     Attributes
     ----------
     names : tuple of str
+        Classes of one name are one class of the map.
     marks : callable or None
         ``marks(row, column)`` gives the class known at each pixel of a cell, 0 for none.
     cells : tuple of (row, column)
@@ -33,6 +36,10 @@ class ClassModel(NamedTuple):
         Of another survey; empty where they are to be learned from the marks.
     centre : float
         Log of the cotangent of the grazing angle at which they hold.
+    texture : Texture or None
+        Laws at several scales, if the survey needed them.
+    codes : tuple of str
+        Of a scheme of the user's (Folk, EUNIS, CMECS), if any are given.
     """
 
     names: tuple[str, ...]
@@ -40,14 +47,21 @@ class ClassModel(NamedTuple):
     cells: tuple[tuple[int, int], ...] = ()
     laws: tuple[Law, ...] = ()
     centre: float = 0.0
+    texture: Texture | None = None
+    codes: tuple[str, ...] = ()
+
+    def codes_of(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Code of each of some names; empty where none is given."""
+        known = dict(zip(reversed(self.names), reversed(self.codes), strict=False))
+        return tuple(known.get(name, "") for name in names)
 
 
-def model_text(names: Sequence[str], classes: Classes) -> str:
+def model_text(names: Sequence[str], codes: Sequence[str], classes: Classes) -> str:
     """Write a survey's classes as JSON, for other surveys to take over.
 
     Parameters
     ----------
-    names : sequence of str
+    names, codes : sequence of str
     classes : Classes
 
     Returns
@@ -58,10 +72,17 @@ def model_text(names: Sequence[str], classes: Classes) -> str:
         "format": FORMAT,
         "reference_cotangent": float(np.exp(classes.centre)),
         "classes": [
-            {"name": name, **asdict(law)} for name, law in zip(names, classes.laws, strict=True)
+            {"name": name, "code": code, **asdict(law)}
+            for name, code, law in zip(names, codes, classes.laws, strict=True)
         ],
     }
-    return json.dumps(content, indent=2) + "\n"
+    if classes.texture is not None:
+        content["texture"] = {
+            f.name: np.round(getattr(classes.texture, f.name), 6).tolist()
+            for f in fields(classes.texture)
+        }
+    indent = None if "texture" in content else 2
+    return json.dumps(finite(content), indent=indent, allow_nan=False) + "\n"
 
 
 def read_model(path: Path) -> ClassModel:
@@ -92,11 +113,28 @@ def read_model(path: Path) -> ClassModel:
         reach = float(content["reference_cotangent"])
         if not laws or not 0 < reach < np.inf or len(laws) > 250:
             raise ValueError("no classes, or no angle")
-        return ClassModel(names, laws=laws, centre=float(np.log(reach)))
+        texture = _texture_of(content["texture"], len(laws)) if "texture" in content else None
+        codes = tuple(str(one.get("code", "")) for one in content["classes"])
+        return ClassModel(
+            names, laws=laws, centre=float(np.log(reach)), texture=texture, codes=codes
+        )
     except OSError as error:
         raise InputError(f"{path}: {expected}: {error.strerror or error}") from None
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: {expected}: {' '.join(str(error).split())}") from None
+
+
+def _texture_of(content: dict[str, Any], count: int) -> Texture:
+    """Read laws at several scales; ValueError, KeyError or TypeError where they are none."""
+    found = Texture(**{f.name: np.array(content[f.name], float) for f in fields(Texture)})
+    shapes = found.low.shape, found.high.shape, found.table.shape, found.offset.shape
+    wanted = (CHANNELS,), (CHANNELS,), (len(WINDOWS), count, CHANNELS, BINS), (count,)
+    values = (found.low, found.high, found.table, found.offset)
+    if shapes != wanted or not all(np.isfinite(v).all() for v in values):
+        raise ValueError("texture: not of this version")
+    if not (found.high > found.low).all():
+        raise ValueError("texture: bins that are none")
+    return found
 
 
 def law_of(content: dict[str, Any]) -> Law:
@@ -107,8 +145,8 @@ def law_of(content: dict[str, Any]) -> Law:
     ValueError, KeyError, TypeError
         Where it is none.
     """
-    values = {f.name: content[f.name] for f in fields(Law)}
-    law = Law(**{**values, "errors": tuple(values["errors"])})
+    values = {f.name: _number(content[f.name]) for f in fields(Law)}
+    law = Law(**{**values, "errors": tuple(_number(v) for v in values["errors"])})
     numbers = (law.scale, law.mean_square)
     shaped = law.family in ("rayleigh", "rice") or law.shape > 0
     if law.family not in FAMILIES or not shaped or not all(0 < v < np.inf for v in numbers):
@@ -116,3 +154,8 @@ def law_of(content: dict[str, Any]) -> Law:
     if not 0 <= law.kappa < np.inf:
         raise ValueError("kappa: expected at least 0")
     return law
+
+
+def _number(value: Any) -> Any:
+    """Read null, as JSON has no NaN."""
+    return float("nan") if value is None else value

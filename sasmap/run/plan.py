@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyproj
 import shapely
 
 from sasmap.errors import InputError
@@ -217,12 +219,36 @@ def tags_of(plan: Plan) -> dict[str, str]:
     }
 
 
+def crs_name(wkt: str) -> str:
+    """Return a CRS as people name it, with its code where it has one."""
+    crs = pyproj.CRS.from_wkt(wkt)
+    authority = crs.to_authority()
+    return f"{crs.name} ({':'.join(authority)})" if authority else str(crs.name)
+
+
+def recorded(plan: Plan) -> tuple[datetime, datetime] | None:
+    """First and last date that the passes give, UTC where none says else; None without any."""
+    given = [datetime.fromisoformat(p.date) for p in plan.settings.passes if p.date is not None]
+    dates = sorted(d.replace(tzinfo=UTC) if d.tzinfo is None else d.astimezone(UTC) for d in given)
+    return (dates[0], dates[-1]) if dates else None
+
+
+def dates_of(plan: Plan) -> str:
+    """Return the days of a survey as people write them; empty where no pass gives any."""
+    found = recorded(plan)
+    if found is None:
+        return ""
+    first, last = (d.date().isoformat() for d in found)
+    return first if first == last else f"{first} to {last}"
+
+
 def describe(plan: Plan) -> Iterable[str]:
     """Tell what a plan would run, a line each."""
     grid = plan.opened.grid
     looks = [len(k) for k in plan.cells.values()]
     yield f"survey: {plan.settings.name}"
     yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    yield f"crs: {crs_name(grid.crs)}"
     for p in plan.opened.passes:
         met = sum(any(plan.swaths[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
         sides = " and ".join(p.sides)

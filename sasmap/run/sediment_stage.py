@@ -20,7 +20,9 @@ from sasmap.products.sediments import write_sediments
 from sasmap.run.class_models import ClassModel, model_text
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan, tags_of
-from sasmap.run.sediment_map import Ground, map_sediments
+from sasmap.run.scheduling import Progress
+from sasmap.run.sediment_map import map_sediments
+from sasmap.run.sediment_surface import Ground
 from sasmap.run.store import Store, code_version, digest
 from sasmap.run.task import Context, excluded_hash, read_floor, track_hash
 from sasmap.survey.cells import Cell
@@ -32,12 +34,18 @@ log = logging.getLogger("sasmap")
 RECORD = "sediments.json"
 
 
-def sediment_stage(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> list[Path]:
+def sediment_stage(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    progress: Progress | None = None,
+) -> list[Path]:
     """Map sediments, or keep an earlier run's map of the same; returns the products."""
     key = _key(plan, outcome)
     kept = _kept(store, key)
     if kept is None:
-        return _map(plan, store, outcome, workers, key)
+        return _map(plan, store, outcome, workers, key, progress)
     outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
     return [store.output / name for name in kept["files"]]
 
@@ -80,7 +88,14 @@ def _kept(store: Store, key: str) -> dict[str, Any] | None:
         return None
 
 
-def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: str) -> list[Path]:
+def _map(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    key: str,
+    progress: Progress | None,
+) -> list[Path]:
     settings = plan.settings.sediments
     assert settings is not None
     grid, window = plan.opened.grid, plan.settings.window
@@ -90,25 +105,30 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
     transform = grid.pixels(window)
     with ExitStack() as stack:
         threads = workers or os.cpu_count() or 1
-        found = map_sediments(ground, count, _known(plan), threads, store.scratch, stack)
+        known = _known(plan)
+        least = settings.least_area / abs(transform.determinant)
+        found = map_sediments(ground, count, known, threads, store.scratch, stack, least, progress)
         reader.record(outcome)
         if found is None:
             return []
+        codes = ("",) * len(found.names) if known is None else known.codes_of(found.names)
         written = write_sediments(
             store.output,
             found.label,
             found.confidence,
+            found.surface.rippled,
             found.lines,
             found.names,
+            codes,
             transform,
             grid.crs,
             tags_of(plan),
             store.scratch,
         )
         outcome.sediments = found.table(abs(transform.determinant))
-        outcome.histograms = found.histograms(ground)
+        outcome.histograms = found.histograms()
     written.append(store.output / "sediment_classes.json")
-    write_text(written[-1], model_text(found.names, found.classes), store.scratch)
+    write_text(written[-1], model_text(found.names, codes, found.classes), store.scratch)
     if not reader.faults:
         _keep(store, key, outcome, written)
     return written

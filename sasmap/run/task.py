@@ -22,7 +22,6 @@ from sasmap.ripples.fusion import next_prior
 from sasmap.ripples.image import as_image, on_clip
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.priors import Prior
-from sasmap.ripples.removal import without_ripples
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import Summary, summarise
 from sasmap.run.plan import Plan, Swath
@@ -38,6 +37,8 @@ MIN_VALID = 0.25
 CERTAIN, UNSEEN = 200, 255
 # Cells a side of the window in which a wave that is too long for a cell is estimated.
 WIDER = 2.0
+# Pixels a side of a modelled image, and draws a chain, that are kept for the report, at most.
+PICTURE, DRAWS = 250, 100
 
 
 class LookResult(NamedTuple):
@@ -121,12 +122,12 @@ def _finished(
     else:
         posterior = _estimated(plan, cell, look, pixels, ripple_settings(plan), prior)
         summary = replace(summarise(posterior), window=window)
-        arrays |= _modelled(plan, cell, pixels, posterior)
+        arrays |= _modelled(plan, cell, pixels, posterior) | _pictured(posterior)
         if posterior.rippled is not None:
             arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
             arrays["reference"] = np.array(posterior.reference)
     if plan.settings.sediments is not None and pixels is not None:
-        amplitude, cotangent = _floor(plan, cell, pixels, arrays.pop("relief", None))
+        amplitude, cotangent = _floor(plan, cell, pixels)
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
     if arrays:
         store.save_arrays(key, arrays)
@@ -141,36 +142,16 @@ def _estimated(
     return estimate(pixels, settings, rng=rng, prior=prior)
 
 
-def estimate_again(
-    context: Context, cell: Cell, k: int, summaries: Sequence[Summary | None]
-) -> tuple[xr.DataArray | None, Posterior | None]:
-    """Estimate a look once more, with its model: the same to the bit, for the report.
-
-    Parameters
-    ----------
-    context : Context
-    cell : Cell
-    k : int
-        Swath.
-    summaries : sequence of Summary or None
-        What the run found of each look at the cell.
-
-    Returns
-    -------
-    clip : DataArray or None
-    posterior : Posterior or None
-        None where the look was not estimated.
-    """
-    plan = context.plan
-    look = plan.swaths[k]
-    summary = summaries[k]
-    window = 1.0 if summary is None else summary.window
-    clip = clip_of(plan, cell, look, look.side, window)
-    if clip is None or summary is None or summary.quality is Quality.TOO_FEW_PIXELS:
-        return clip, None
-    settings = ripple_settings(plan).model_copy(update={"keep_model": True})
-    prior = next_prior(_earlier(summaries[:k], settings), settings)
-    return clip, _estimated(plan, cell, look, Clip.from_array(clip), settings, prior)
+def try_look(plan: Plan, cell: Cell, k: int) -> None:
+    """Do what a look at a cell takes, and keep nothing: for `plan`, which times it."""
+    swath, settings = plan.swaths[k], ripple_settings(plan)
+    clip = clip_of(plan, cell, swath, swath.side)
+    if clip is None or _shown(plan, cell, swath, clip) < MIN_VALID:
+        return
+    pixels = Clip.from_array(clip)
+    posterior = _estimated(plan, cell, swath, pixels, settings, next_prior([], settings))
+    summarise(posterior)
+    _modelled(plan, cell, pixels, posterior)
 
 
 def finished_looks(plan: Plan, store: Store) -> int:
@@ -187,19 +168,52 @@ def finished_looks(plan: Plan, store: Store) -> int:
     return sum(store.path(key).exists() for key in keys)
 
 
-def _modelled(
-    plan: Plan, cell: Cell, clip: Clip, posterior: Posterior
-) -> dict[str, NDArray[np.float32]]:
-    """Modelled amplitude and relief on a cell's own pixels, as far as the run needs them."""
+def _modelled(plan: Plan, cell: Cell, clip: Clip, posterior: Posterior) -> dict[str, NDArray[Any]]:
+    """Modelled amplitude on a cell's own pixels: small for the report, whole if it is kept."""
     settings = plan.settings.ripples
     assert settings is not None
     place = plan.opened.grid, cell, plan.settings.window
-    found = {}
-    if settings.keep_model and posterior.model is not None:
-        found["model"] = on_cell(clip, posterior.model, *place)
-    if plan.settings.sediments is not None and posterior.relief is not None:
-        found["relief"] = on_cell(clip, posterior.relief, *place)
+    found: dict[str, NDArray[Any]] = {}
+    if posterior.model is not None:
+        model = on_cell(clip, posterior.model, *place)
+        found["picture"], found["picture_step"] = in_bytes(block_means(model, PICTURE))
+        if settings.keep_model:
+            found["model"] = model
     return found
+
+
+def _pictured(posterior: Posterior) -> dict[str, NDArray[Any]]:
+    """Draws for the report, thinned."""
+    if not posterior.sampled:
+        return {}
+    step = max(1, -(-posterior.draws.sizes["draw"] // DRAWS))
+    names = ("frequency", "height")
+    return {name: posterior.draws[name].values[:, ::step].astype(np.float32) for name in names}
+
+
+def block_means(image: NDArray[Any], most: int) -> NDArray[Any]:
+    """Average an image (rows, columns) over squares, to at most so many pixels a side."""
+    factor = max(1, -(-max(image.shape) // most))
+    rows, columns = (-(-n // factor) for n in image.shape)
+    padded = np.full((rows * factor, columns * factor), np.nan)
+    padded[: image.shape[0], : image.shape[1]] = image
+    squares = padded.reshape(rows, factor, columns, factor)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, squares, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def in_bytes(image: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    """Quantise an image of values of at least 0 to a byte a pixel; 0 stands for NaN.
+
+    Returns the bytes and the step, so that the image is ``(bytes - 1) * step``.
+    """
+    known = np.isfinite(image)
+    top = float(np.max(image, where=known, initial=0.0))
+    step = top / 254 if top > 0 else 1.0
+    values = np.where(known, 1 + np.rint(np.nan_to_num(image) / step), 0)
+    return values.astype(np.uint8), np.array(step)
 
 
 def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -242,23 +256,20 @@ def extent_beside(
     return _packed(plan, cell, clip, on_clip(clip, image, np.max(found, axis=0)))
 
 
-def _floor(
-    plan: Plan, cell: Cell, pixels: Clip, relief: NDArray[np.float32] | None
-) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
-    """Amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels."""
+def _floor(plan: Plan, cell: Cell, pixels: Clip) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
+    """Amplitude and cotangent of grazing on a cell's own pixels."""
     place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    amplitude = without_ripples(on_cell(pixels, known, *place), relief)
+    amplitude = on_cell(pixels, known, *place)
     cotangent = on_cell(pixels, pixels.ground_range / pixels.altitude, *place)
     return amplitude.astype(np.float32), np.minimum(cotangent, 6e4).astype(np.float16)
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
-    """Return settings of the estimates: the sediment map needs the ripples' modelled amplitude."""
+    """Return settings of the estimates: the report needs the modelled amplitude."""
     settings = plan.settings.ripples
     assert settings is not None
-    modelled = settings.keep_model or plan.settings.sediments is not None
-    return settings.model_copy(update={"keep_model": modelled})
+    return settings.model_copy(update={"keep_model": True})
 
 
 def clip_of(
@@ -363,7 +374,7 @@ def track_hash(track: Track) -> str:
 def read_floor(
     context: Context, cell: Cell, k: int, key: str | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Read amplitude, over that of ripples, and cotangent of grazing on a cell's own pixels.
+    """Read amplitude and cotangent of grazing on a cell's own pixels.
 
     Parameters
     ----------
@@ -394,5 +405,5 @@ def read_floor(
     clip = clip_of(plan, cell, look, look.side)
     if clip is None:
         return None
-    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip), None)
+    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip))
     return amplitude.astype(float), cotangent.astype(float)

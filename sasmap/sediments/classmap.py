@@ -7,17 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.ndimage import label as measure_label
 
 from sasmap.sediments.field import mean_field, table_sums, window_sums
 from sasmap.sediments.segmentation import Classes
+from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
 
 GRID = 1024
 # Potts field: pixels of its window, and its strength in nats where all neighbours agree.
 FIELD, STRENGTH, ROUNDS = 9, 9.0, 12
 FIRST_WINDOW = 13
+# Pixels a side of what must be dark in a textured bed to be no sediment.
+DARK_WINDOW = 17
 # Pixels of the smallest patch that the map shows.
 SMALLEST = 300
 
@@ -37,6 +40,13 @@ def log_likelihoods(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray
     ndarray (classes, rows, columns)
         Of independent samples (over the noise factor); NaN where no look shows a pixel.
     """
+    if classes.texture is not None:
+        return _with_texture(looks, classes, classes.texture)
+    return _of_pixels(looks, classes)
+
+
+def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.float32]:
+    """Log likelihoods of amplitude laws."""
     shape = looks[0].amplitude.shape
     result = np.zeros((len(classes.every), *shape), np.float32)
     flat = result.reshape(len(result), -1)
@@ -55,6 +65,33 @@ def log_likelihoods(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray
     return result
 
 
+def _with_texture(
+    looks: Sequence[AmplitudeGrid], classes: Classes, texture: Texture
+) -> NDArray[np.float32]:
+    """Log odds by laws at several scales; looks see one texture, so they are averaged."""
+    shape = looks[0].amplitude.shape
+    result = np.zeros((len(classes.every), *shape), np.float32)
+    seen = np.zeros(shape, np.float32)
+    for i, look in enumerate(looks):
+        known = look.amplitude > 0
+        if not known.any():
+            continue
+        logs = np.log(np.where(known, look.amplitude, np.nan))
+        logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0))
+        odds = evidence(texture, channels(logs))
+        result[: len(classes.laws)] += np.nan_to_num(odds)
+        seen += known
+    result /= np.maximum(seen, 1)
+    if classes.dark is not None:
+        # by amplitude: as much darker than the likeliest class as a window around tells
+        level = np.nan_to_num(_of_pixels(looks, classes))
+        darker = level[-1] - level[:-1].max(axis=0)
+        around = uniform_filter(darker, DARK_WINDOW, mode="reflect") * DARK_WINDOW**2
+        result[-1] = result[:-1].max(axis=0) + around
+    result[:, seen == 0] = np.nan
+    return result
+
+
 class ClassMap(NamedTuple):
     """A sediment map.
 
@@ -70,7 +107,9 @@ class ClassMap(NamedTuple):
     probability: NDArray[np.float32]
 
 
-def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> ClassMap:
+def class_map(
+    likelihood: NDArray[np.float32], count: int | None = None, whole: bool = True
+) -> ClassMap:
     """Classify pixels.
 
     Parameters
@@ -79,6 +118,8 @@ def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> Clas
         Of :func:`log_likelihoods`.
     count : int, optional
         Sediments; what comes after them is none. Default all.
+    whole : bool
+        Whether the map ends at the edges; where not, what is small there may be more beyond.
 
     Returns
     -------
@@ -93,19 +134,40 @@ def class_map(likelihood: NDArray[np.float32], count: int | None = None) -> Clas
     window_sums(level, FIRST_WINDOW, share)
     share = _softmax(share) * seen
     mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
-    label = _sieved(np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8))
+    label = np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8)
+    label = sieved(label, whole=whole)
     sediment = seen & (label <= (count or len(level)))
     chosen = np.where(sediment, share.max(axis=0), np.nan).astype(np.float32)
     return ClassMap(np.where(sediment, label, 0).astype(np.uint8), chosen)
 
 
-def _sieved(label: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Give specks of a class, of too few pixels to tell it, to the class that is nearest."""
+def sieved(
+    label: NDArray[np.uint8], smallest: float = SMALLEST, whole: bool = True
+) -> NDArray[np.uint8]:
+    """Give patches of too few pixels to the class that is nearest.
+
+    Parameters
+    ----------
+    label : ndarray of uint8 (rows, columns)
+        0 for none.
+    smallest : float
+        Pixels of the smallest patch that stays.
+    whole : bool
+        Whether patches end at the edges; where not, those that touch them stay.
+
+    Returns
+    -------
+    ndarray of uint8 (rows, columns)
+    """
     small = np.zeros(label.shape, bool)
     for k in np.unique(label[label > 0]):
         parts, _ = measure_label(label == k)
-        size = np.bincount(parts.ravel())
-        small |= (size < SMALLEST)[parts] & (parts > 0)
+        few = np.bincount(parts.ravel()) < smallest
+        if not whole:
+            for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+                few[edge] = False
+        few[0] = False
+        small |= few[parts]
     if not small.any() or (small | (label == 0)).all():
         return label
     nearest = distance_transform_edt(

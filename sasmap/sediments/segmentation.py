@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, uniform_filter
+from scipy.ndimage import uniform_filter
 
-from sasmap.numerics.gaussians import expectation_maximisation
 from sasmap.numerics.looks import effective_samples
 from sasmap.sediments.fitting import Law, choose
+from sasmap.sediments.grouping import grouped, pruned, textured_groups
+from sasmap.sediments.texture import Texture, channels, learn, tells_more
 from sasmap.sediments.trends import (
     BLOCK,
     AmplitudeGrid,
@@ -32,14 +33,15 @@ from sasmap.sediments.trends import (
 
 FloatArray = NDArray[np.float64]
 
-MOST_CLASSES = 8
+# Scatter that mean and log variance of blocks of one sediment have beyond their sampling.
+FLOOR = (0.02, 0.06)
 # Blocks differ from their neighbours' mean by less than so many standard deviations where they hold
 # one sediment.
 EVEN = 3.0
 # Mean log likelihood ratio a pixel (nats) by which laws must differ to be two sediments.
 APART = 0.02
-# Share of a class's blocks that have none of another class beside them, at least.
-CORE = 0.12
+# Nats a pixel below which two textures have one histogram.
+ALIKE = 0.005
 SAMPLES = 60_000
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
@@ -73,6 +75,8 @@ class Classes:
         Pixels that one independent sample makes.
     dark : Law or None
         Of what is too dark to be sediment: shadow, water column.
+    texture : Texture or None
+        Laws at several scales, where amplitude alone does not tell the classes.
     """
 
     laws: tuple[Law, ...]
@@ -80,6 +84,7 @@ class Classes:
     centre: float
     noise_factor: float
     dark: Law | None = None
+    texture: Texture | None = None
 
     @property
     def every(self) -> tuple[Law, ...]:
@@ -117,19 +122,44 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     dark = _dark(blocks, trends)
     for _ in range(3):
         features, index = _features(blocks, trends, dark)
-        groups = _grouped(features, count or 1)
+        groups = grouped(features, FLOOR, count or 1)
         trends = refit(blocks, groups, index, first)
     factor = noise_factor(looks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
     how = trends, centre, factor
+    none = _dark_law(looks, dark, trends, centre, factor)
     # groups that are one sediment first: each would be beside the other everywhere
     labels, _ = _merged(looks, labels, count or 1, how, APART)
-    labels = _pruned(labels, count or 1)
-    _, laws = _merged(looks, labels, count or 1, how, APART if count is None else np.inf)
+    labels = pruned(labels, count or 1)
+    found = [channels(_logs(v, t, centre)) for v, t in zip(looks, trends, strict=True)]
+    textured, mixed = textured_groups(found, labels, dark, count)
+    labels, laws = _merged(looks, labels, count or 1, how, APART if count is None else np.inf)
+    others = _laws(looks, textured, *how)
+    # where amplitude suffices, it has the sharper boundaries
+    needed = len(others) >= max(len(laws), 2) and (mixed or _too_alike(others))
+    if needed:
+        labels, laws = textured, others
     order = np.argsort([law.mean_square for law in laws], kind="stable")
-    none = _dark_law(looks, dark, trends, centre, factor)
-    return Classes(tuple(laws[i] for i in order), trends, centre, factor, none)
+    sorted_laws = tuple(laws[i] for i in order)
+    texture = None
+    if needed:
+        number = np.append(np.argsort(order), -1) + 1  # the last is of blocks of no class
+        marks = _marks_of(number[labels], looks[0].amplitude.shape)
+        texture = learn([(v, marks) for v in found], len(laws))
+    return Classes(sorted_laws, trends, centre, factor, none, texture)
+
+
+def _logs(look: AmplitudeGrid, trend: FloatArray, centre: float) -> FloatArray:
+    """Log amplitude less gain and trend; NaN where there is none."""
+    flat = _flattened(look, trend, centre)
+    return np.log(np.where(flat > 0, flat, np.nan))
+
+
+def _marks_of(blocks: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Classes of blocks on their pixels; 0 beyond the last whole block."""
+    whole = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
+    return np.pad(whole, [(0, n - m) for n, m in zip(shape, whole.shape, strict=True)])
 
 
 def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], count: int) -> Classes:
@@ -172,7 +202,36 @@ def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], coun
             )
         laws.append(choose(values, samples=values.size / factor).law)
     none = _dark_law(looks, _dark(blocks, trends, laws), trends, centre, factor)
-    return Classes(tuple(laws), trends, centre, factor, none)
+    texture = _trained_texture(looks, marks, trends, centre, laws) if count > 1 else None
+    return Classes(tuple(laws), trends, centre, factor, none, texture)
+
+
+def _trained_texture(
+    looks: Sequence[AmplitudeGrid],
+    marks: NDArray[np.uint8],
+    trends: FloatArray,
+    centre: float,
+    laws: Sequence[Law],
+) -> Texture | None:
+    """Laws at several scales, if they tell the marked pixels apart better than amplitude does."""
+    middle = np.log(max(law.mean_square for law in laws)) / 2
+    grid = np.linspace(middle - 12, middle + 4, 800)
+    table = [law.log_density(np.exp(grid)) for law in laws]
+    parts, amplitude = [], []
+    for look, trend in zip(looks, trends, strict=True):
+        shown = (look.amplitude > 0) & (marks > 0)
+        if not shown.any():
+            continue
+        # no more of a look than its marks
+        rows, columns = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
+        box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        part = AmplitudeGrid(look.amplitude[box], look.cotangent[box])
+        logs = _logs(part, trend, centre)
+        parts.append((channels(logs), marks[box].astype(np.int64)))
+        amplitude.append(np.stack([np.interp(logs, grid, t) for t in table]))
+    if not tells_more(parts, amplitude, len(laws)):
+        return None
+    return learn(parts, len(laws))
 
 
 def _marked_blocks(marks: NDArray[np.uint8], count: int) -> NDArray[np.int64]:
@@ -322,50 +381,6 @@ def _features(
     return np.column_stack([level[index], spread[index]]), index
 
 
-def _grouped(points: FloatArray, least: int) -> NDArray[np.int64]:
-    """Group points by the Gaussian mixture with the best information criterion."""
-    floor = np.array([0.02, 0.06]) ** 2
-    best, best_score = np.zeros(len(points), np.int64), -np.inf
-    for n in range(least, max(MOST_CLASSES, least + 2) + 1):
-        if n * 8 > len(points) and n > least:
-            break
-        first, enough = _seeded(points, n), 1e-3 / len(points)
-        _, share, level = expectation_maximisation(points, first, floor, 100, enough)
-        score = level * len(points) - 0.5 * (6 * n - 1) * np.log(len(points))
-        if score > best_score:
-            best, best_score = np.argmax(share, axis=1), score
-    return best
-
-
-def _pruned(labels: NDArray[np.int64], least: int) -> NDArray[np.int64]:
-    """Leave out groups that lie between others alone: blocks that two sediments share."""
-    there = np.unique(labels[labels >= 0])
-    core = {}
-    for k in there:
-        mine = labels == k
-        # neighbours that are uneven tell nothing
-        inside = binary_erosion(mine | (labels < 0), np.ones((3, 3)), border_value=1) & mine
-        core[k] = inside.sum() / mine.sum()
-    order = sorted(there, key=lambda k: core[k])
-    lost = [k for k in order if core[k] < CORE][: max(len(there) - least, 0)]
-    kept = [k for k in there if k not in lost]
-    result = np.full(labels.shape, -1)
-    for number, k in enumerate(kept):
-        result[labels == k] = number
-    return result
-
-
-def _seeded(points: FloatArray, n: int) -> FloatArray:
-    """First guess of which of n groups each point belongs to: the nearest of spread-out seeds."""
-    z = points / (points.std(axis=0) + 1e-9)
-    seeds = [int(np.argmin(((z - np.median(z, axis=0)) ** 2).sum(axis=1)))]
-    for _ in range(n - 1):  # the point that is farthest from all, but for the last few per cent
-        away = np.min([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
-        seeds.append(int(np.argsort(away)[int(0.98 * (len(z) - 1))]))
-    near = np.argmin([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
-    return np.asarray(np.eye(n)[near])
-
-
 def noise_factor(looks: Sequence[AmplitudeGrid]) -> float:
     """Pixels to one independent sample, by the middle of each look."""
     factors = []
@@ -440,6 +455,11 @@ def _merged(
         labels = np.where(labels > i, labels - 1, labels)
         laws = _laws(looks, labels, *how)
     return labels, laws
+
+
+def _too_alike(laws: Sequence[Law]) -> bool:
+    """Whether there are laws that amplitude does not tell apart."""
+    return any(separation(a, b) < ALIKE for i, a in enumerate(laws) for b in laws[:i])
 
 
 def separation(first: Law, second: Law) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -71,6 +72,11 @@ class PassSettings(_Block):
     altitude_sd: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = Field(
         0.02, description="how well altitude is known, standard deviation, m"
     )
+    date: str | None = Field(
+        None,
+        description="when it was recorded: a date, or date and time, as 2024-05-01 or "
+        "2024-05-01T14:30:00Z",
+    )
 
     @field_validator("columns")
     @classmethod
@@ -85,6 +91,18 @@ class PassSettings(_Block):
     @classmethod
     def _known_crs(cls, value: str | None) -> str | None:
         return _check_crs(value)
+
+    @field_validator("date")
+    @classmethod
+    def _iso_date(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                datetime.fromisoformat(value)
+            except ValueError:
+                raise ValueError(
+                    f"expected a date such as 2024-05-01 or 2024-05-01T14:30:00Z, got {value!r}"
+                ) from None
+        return value
 
 
 class ClassSettings(_Block):
@@ -104,6 +122,9 @@ class SedimentSettings(_Block):
     ) = Field("auto", description="auto, a number, or a list of named classes with training")
     model: Name | None = Field(
         None, description="sediment_classes.json of another run, whose classes are taken instead"
+    )
+    least_area: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        0.5, description="m^2; smaller patches are given to the class that is nearest"
     )
 
     @model_validator(mode="after")

@@ -18,6 +18,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from sasmap.survey.display import found_gamma
 from sasmap.survey.lattice import FloatArray
 
 Kind = Literal["linear", "intensity", "db"]
@@ -300,7 +301,7 @@ def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
     if not told.enough:
         return _unlike_decibels(raw) if kind == "db" else None
     if told.fits:
-        return _black_level(raw) if kind == "linear" else None
+        return _black_level(raw) or _display(sample, step) if kind == "linear" else None
     found = f"contrast {told.contrast:.2f} and skewness {told.least_skewness:.2f}"
     start = f"does not look like {_name(kind)} ({found}; speckle has 0.52 and 0.6)"
     others = [other for other in KINDS if other != kind and _fitting(sample, other)]
@@ -327,6 +328,21 @@ def _black_level(raw: Speckle) -> Verdict | None:
     return Verdict(
         f"{raw.dark:.0%} of its pixels are nearly black, where speckle has 1 %: a black level was "
         "subtracted; export it without"
+    )
+
+
+def _display(sample: Sample, step: float) -> Verdict | None:
+    gamma = found_gamma(sample, step)
+    if gamma is None:
+        return None
+    if gamma < 1:
+        return Verdict(
+            f"its speckle is compressed, as by a display gamma of about {gamma:.2f} or by "
+            "averaging: A_H will be too small; export linear amplitude at full resolution"
+        )
+    return Verdict(
+        f"its speckle is stretched, as by a display gamma of about {gamma:.1f}: A_H will be too "
+        "large; export linear amplitude"
     )
 
 

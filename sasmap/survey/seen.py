@@ -141,7 +141,10 @@ def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool) -> str:
             "passes abeam of it within the range a sonar at that altitude can see"
         )
     other = "port" if sonar_pass.sides == ("starboard",) else "starboard"
-    return f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}"
+    return (
+        f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}: "
+        "correct side:, or the navigation's rows if they run against time"
+    )
 
 
 def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None:

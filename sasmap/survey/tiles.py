@@ -7,6 +7,9 @@ import hashlib
 import logging
 import os
 import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +20,7 @@ import rasterio
 import rasterio.windows
 import tifffile
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError  # GDAL's errors, which some of rasterio lets through
 
 from sasmap.errors import InputError
 from sasmap.settings.survey import expanded
@@ -41,6 +45,8 @@ GDAL_OPTIONS = {
     "GDAL_HTTP_TIMEOUT": "1",
     "GDAL_PAM_ENABLED": "NO",
 }
+# A tile without georeference is refused in a line of our own.
+warnings.filterwarnings("ignore", category=rasterio.errors.NotGeoreferencedWarning)
 MAX_BLOCK_BYTES = 2**29
 MAX_EXPANSION = 2000.0
 
@@ -116,6 +122,25 @@ def _outline_in(tile: Tile, crs: str) -> tuple[NDArray[np.float64], NDArray[np.f
     return transform_points(tile.lattice.crs, crs, x, y)
 
 
+@contextmanager
+def open_geotiff(path: Path, **options: str) -> Iterator[rasterio.DatasetReader]:
+    """Open a GeoTIFF and nothing beside it.
+
+    Parameters
+    ----------
+    path : Path
+    **options : str
+        Further options of GDAL.
+
+    Raises
+    ------
+    rasterio.errors.RasterioIOError
+        Where it cannot be opened.
+    """
+    with rasterio.Env(**GDAL_OPTIONS, **options), rasterio.open(path, driver="GTiff") as source:
+        yield source
+
+
 def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) -> Tile:
     """Open a tile's header and check that the tile can be used.
 
@@ -145,7 +170,7 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
     if not path.is_file():
         raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
     try:
-        with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path, driver="GTiff") as source:
+        with open_geotiff(path) as source:
             check_bands(path, source)
             crs = checked_crs(path, source, geographic)
             _check_blocks(path, source)
@@ -156,7 +181,7 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
                 dtype=source.dtypes[0],
                 kind=kind,
             )
-    except rasterio.errors.RasterioIOError:
+    except (rasterio.errors.RasterioIOError, CPLE_BaseError):
         raise InputError(f"{path}: not a GeoTIFF that can be opened") from None
 
 
@@ -259,7 +284,7 @@ def read_numbers(tile: Tile, window: Window) -> Amplitude:
     kind = np.dtype(tile.dtype)
     target = np.float64 if kind.itemsize > 4 or kind in (np.int32, np.uint32) else np.float32
     try:
-        with rasterio.Env(**GDAL_OPTIONS), rasterio.open(tile.path, driver="GTiff") as source:
+        with open_geotiff(tile.path) as source:
             raw = source.read(1, window=area)
             missing = source.read_masks(1, window=area) == 0
             if source.nodata is not None:  # a mask of the file's own hides its nodata value

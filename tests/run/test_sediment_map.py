@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
 import yaml
@@ -71,6 +72,65 @@ def test_named_classes_are_mapped_and_reused(scene, tmp_path):
     again, reused = run(survey_of(scene, model=str(model)), tmp_path / "b")
     assert [c["name"] for c in again.sediments] == ["sand", "mud"]
     assert (reused == label).mean() > 0.995
+
+
+def test_classes_are_named_merged_and_coded_by_an_edited_model(scene, tmp_path):
+    _, before = run(survey_of(scene, classes=2), tmp_path / "a")
+    model = json.loads((tmp_path / "a" / "sediment_classes.json").read_text())
+    model["classes"][0] |= {"name": "silt", "code": "A5.3"}
+    model["classes"][1] |= {"name": "fine sand", "code": "A5.2"}
+    path = tmp_path / "edited.json"
+    path.write_text(json.dumps(model))
+    outcome, after = run(survey_of(scene, model=str(path)), tmp_path / "b")
+    assert [c["name"] for c in outcome.sediments] == ["silt", "fine sand"]
+    assert (after == before).mean() > 0.995
+    meta, _, _, fields = pyogrio.raw.read(tmp_path / "b" / "sediment_areas.gpkg")
+    columns = dict(zip(meta["fields"], fields, strict=True))
+    assert dict(zip(columns["name"], columns["code"], strict=True)) == {
+        "silt": "A5.3",
+        "fine sand": "A5.2",
+    }
+    kept = json.loads((tmp_path / "b" / "sediment_classes.json").read_text())
+    assert [c["code"] for c in kept["classes"]] == ["A5.3", "A5.2"]
+    model["classes"][1]["name"] = "silt"
+    path.write_text(json.dumps(model))
+    outcome, after = run(survey_of(scene, model=str(path)), tmp_path / "c")
+    assert [c["name"] for c in outcome.sediments] == ["silt"]
+    assert (after == 1).all()
+    assert pyogrio.raw.read(tmp_path / "c" / "sediment_boundaries.gpkg")[2].size == 0
+
+
+def test_the_map_does_not_know_the_window_and_ripples_are_no_sediment(tmp_path):
+    rippled = {
+        **SCENE,
+        "size": [40, 25],
+        "ripples": [{"frequency": 0.7, "height": 0.05, "azimuth": 70}],
+        "sediments": [
+            {"name": "sand", "level": 1.0},
+            {
+                "name": "mud",
+                "level": 0.3,
+                "polygon": [[24, -1], [28, 12], [25, 26], [41, 26], [41, -1]],
+            },
+        ],
+    }
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(rippled))
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "--output", str(tmp_path)]) == 0
+    labels = []
+    for window in (80, 133):
+        content = yaml.safe_load((tmp_path / "survey.yaml").read_text())
+        del content["ripples"]
+        content |= {"sediments": {}, "window": window}
+        path = tmp_path / f"survey_{window}.yaml"
+        path.write_text(yaml.safe_dump(content))
+        outcome, label = run(path, tmp_path / str(window))
+        assert len(outcome.sediments) == 2
+        labels.append(label[:500, :800])
+    assert (labels[0] > 0).all()
+    assert (labels[0] == labels[1]).mean() > 0.99
+    x = np.arange(800) * 0.05
+    assert (labels[0][:, x < 22] == 2).mean() > 0.98
+    assert (labels[0][:, x > 30] == 1).mean() > 0.98
 
 
 def test_an_unchanged_map_is_kept_and_a_changed_one_made_anew(scene, tmp_path):

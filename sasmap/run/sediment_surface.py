@@ -1,0 +1,194 @@
+"""What a survey's looks show of the floor, laid on its own pixels on disk, its ripples taken off.
+
+The map is made from this surface in blocks of its own: it does not know the cells that ripples are
+estimated in.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.io.canvas import Canvas
+from sasmap.numerics.threads import mapped
+from sasmap.run.class_models import ClassModel
+from sasmap.sediments.trends import AmplitudeGrid
+from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
+
+FloatArray = NDArray[np.float64]
+Read = Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
+Part = tuple[slice, slice]
+
+# Pixels a side of the pieces in which ripples are looked for.
+PIECE = 4 * LATTICE
+
+
+class Ground(NamedTuple):
+    """How a survey is read.
+
+    Attributes
+    ----------
+    rows, columns : int
+        Cells.
+    window : int
+        Pixels a side of a cell.
+    looks : int
+    read : callable
+        ``read(row, column, look)`` gives amplitude and cotangent of the grazing angle (window,
+        window), or None.
+    """
+
+    rows: int
+    columns: int
+    window: int
+    looks: int
+    read: Read
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Pixels of the map."""
+        return self.rows * self.window, self.columns * self.window
+
+
+class Look(NamedTuple):
+    """One look's rasters: amplitude (0 for none), cotangent of grazing, log profile of ripples."""
+
+    amplitude: Any
+    cotangent: Any
+    profile: Any
+
+
+class Surface(NamedTuple):
+    """All looks at a survey; slices are read.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    looks : tuple of Look
+    rippled : Canvas of uint8
+        1 where a look shows ripples.
+    marks : Canvas of uint8 or None
+        Classes that training shows.
+    """
+
+    shape: tuple[int, int]
+    looks: tuple[Look, ...]
+    rippled: Any
+    marks: Any
+
+    def part(self, part: Part) -> list[AmplitudeGrid]:
+        """Amplitudes of all looks, ripples taken off; NaN where there is none."""
+        found = []
+        for look in self.looks:
+            amplitude = _known(look.amplitude[part])
+            amplitude *= np.exp(-look.profile[part].astype(float))
+            found.append(AmplitudeGrid(amplitude, look.cotangent[part].astype(float)))
+        return found
+
+    @property
+    def whole(self) -> Part:
+        """All of the map."""
+        return slice(0, self.shape[0]), slice(0, self.shape[1])
+
+    def blocks(self, side: int) -> list[Part]:
+        """Blocks of so many pixels a side, row by row."""
+        rows, columns = self.shape
+        return [
+            (slice(r, min(r + side, rows)), slice(c, min(c + side, columns)))
+            for r, c in product(range(0, rows, side), range(0, columns, side))
+        ]
+
+    def around(self, part: Part, margin: int) -> tuple[Part, Part]:
+        """Widen a part by a margin, as far as the map goes; and the part's place in that."""
+        wide = tuple(
+            slice(max(s.start - margin, 0), min(s.stop + margin, n))
+            for s, n in zip(part, self.shape, strict=True)
+        )
+        inner = tuple(
+            slice(s.start - w.start, s.stop - w.start) for s, w in zip(part, wide, strict=True)
+        )
+        return (wide[0], wide[1]), (inner[0], inner[1])
+
+
+def lay(
+    ground: Ground, known: ClassModel | None, workers: int | None, scratch: Path, stack: ExitStack
+) -> Surface:
+    """Lay a survey's looks on disk and take their ripples off.
+
+    Parameters
+    ----------
+    ground : Ground
+    known : ClassModel or None
+        Whose marks are laid as well.
+    workers : int or None
+        Threads.
+    scratch : Path
+        Folder of the rasters.
+    stack : ExitStack
+        Closes them.
+
+    Returns
+    -------
+    Surface
+    """
+
+    def canvas(name: str, dtype: str) -> Canvas:
+        return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
+
+    looks = tuple(
+        Look(
+            canvas(f"amplitude{k}", "float32"),
+            canvas(f"cotangent{k}", "float16"),
+            canvas(f"profile{k}", "float16"),
+        )
+        for k in range(ground.looks)
+    )
+    marks = canvas("marks", "uint8") if known is not None and known.marks is not None else None
+    surface = Surface(ground.shape, looks, canvas("rippled", "uint8"), marks)
+    marked = set(known.cells) if known is not None else set()
+
+    def read(place: tuple[int, int]) -> None:
+        part = _pixels_of(place, ground.window)
+        for k, look in enumerate(looks):
+            found = ground.read(*place, k)
+            if found is not None:
+                look.amplitude[part] = np.nan_to_num(found[0])
+                look.cotangent[part] = np.clip(found[1], None, 6e4)
+        if marks is not None and known is not None and known.marks is not None and place in marked:
+            marks[part] = known.marks(*place)
+
+    deque(mapped(read, product(range(ground.rows), range(ground.columns)), workers), 0)
+    deque(mapped(lambda p: _take_off(surface, p), surface.blocks(PIECE), workers), 0)
+    return surface
+
+
+def _take_off(surface: Surface, part: Part) -> None:
+    """Find ripples in a piece of each look."""
+    wide, inner = surface.around(part, MARGIN)
+    rippled = np.zeros([s.stop - s.start for s in part], bool)
+    for look in surface.looks:
+        amplitude = _known(look.amplitude[wide])
+        if np.isnan(amplitude).all():
+            continue
+        waves = find_waves(amplitude)
+        if waves.rippled.any():
+            look.profile[part] = waves.profile[inner]
+            rippled |= waves.rippled[inner]
+    if rippled.any():
+        surface.rippled[part] = rippled
+
+
+def _known(amplitude: NDArray[np.floating]) -> FloatArray:
+    return np.where(amplitude > 0, amplitude, np.nan).astype(float)
+
+
+def _pixels_of(place: tuple[int, int], window: int) -> Part:
+    row, column = (v * window for v in place)
+    return slice(row, row + window), slice(column, column + window)

@@ -1,0 +1,257 @@
+"""Groups of blocks: of alike amplitudes, and of alike texture among those."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
+
+from sasmap.numerics.gaussians import expectation_maximisation, log_densities
+from sasmap.sediments.texture import LAGS, SCALES
+from sasmap.sediments.trends import BLOCK, MIN_KNOWN
+
+FloatArray = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+MOST_CLASSES = 8
+# Share of a class's blocks that have none of another class beside them, at least.
+CORE = 0.12
+# Blocks a side over which texture is described: 48 pixels.
+AROUND = 3
+# Blocks a side that must be free of other groups around one whose texture is its own: texture is
+# described by 24 pixels to each side, of averages over 16.
+CLEAR = 5
+# Scatter that textures of one bed have beyond their sampling (log variances, mean amplitude).
+SCATTER = 0.05
+# Bhattacharyya distance (of Gaussians, nats) by which the textures of two beds must differ: 4
+# standard deviations where their spread is the same.
+APART = 2.0
+# Blocks from which groups are found, at most.
+FITTED = 2000
+# Blocks that can tell two textures of one class, and share of them that the rarer has.
+ENOUGH, RARE = 60, 0.04
+
+
+def grouped(
+    points: FloatArray, scatter: Sequence[float], least: int, most: int | None = None
+) -> Labels:
+    """Group points by the Gaussian mixture with the best information criterion (Schwarz).
+
+    Parameters
+    ----------
+    points : ndarray (n, size)
+    scatter : sequence of float (size,)
+        Standard deviations that each group has at least.
+    least : int
+        Groups.
+    most : int, optional
+        Default as many as are tried.
+
+    Returns
+    -------
+    ndarray of int (n,)
+    """
+    floor = np.array(scatter) ** 2
+    every, size = points, points.shape[1]
+    points = np.ascontiguousarray(every[:: max(len(every) // FITTED, 1)])
+    free = 1 + size + size * (size + 1) // 2
+    best, best_score = None, -np.inf
+    for n in range(least, (most or max(MOST_CLASSES, least + 2)) + 1):
+        if n * 8 > len(points) and n > least:
+            break
+        for first in (_seeded(points, n), _sliced(points, n)):
+            mixture, _, level = expectation_maximisation(
+                points, first, floor, 100, 1e-3 / len(points)
+            )
+            score = level * len(points) - 0.5 * (free * n - 1) * np.log(len(points))
+            if score > best_score:
+                best, best_score = mixture, score
+    assert best is not None
+    return np.asarray(np.argmax(log_densities(every, best), axis=1))
+
+
+def pruned(labels: Labels, least: int) -> Labels:
+    """Leave out groups that lie between others alone: blocks that two sediments share.
+
+    Parameters
+    ----------
+    labels : ndarray of int (block rows, block columns)
+        -1 for none.
+    least : int
+        Groups that are left.
+
+    Returns
+    -------
+    ndarray of int (block rows, block columns)
+    """
+    there = np.unique(labels[labels >= 0])
+    core = {}
+    for k in there:
+        mine = labels == k
+        # neighbours that are uneven tell nothing
+        inside = binary_erosion(mine | (labels < 0), np.ones((3, 3)), border_value=1) & mine
+        core[k] = inside.sum() / mine.sum()
+    order = sorted(there, key=lambda k: core[k])
+    lost = [k for k in order if core[k] < CORE][: max(len(there) - least, 0)]
+    kept = [k for k in there if k not in lost]
+    result = np.full(labels.shape, -1)
+    for number, k in enumerate(kept):
+        result[labels == k] = number
+    return result
+
+
+def _seeded(points: FloatArray, n: int) -> FloatArray:
+    """First guess of which of n groups each point belongs to: the nearest of spread-out seeds."""
+    z = points / (points.std(axis=0) + 1e-9)
+    seeds = [int(np.argmin(((z - np.median(z, axis=0)) ** 2).sum(axis=1)))]
+    for _ in range(n - 1):  # the point that is farthest from all, but for the last few per cent
+        away = np.min([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
+        seeds.append(int(np.argsort(away)[int(0.98 * (len(z) - 1))]))
+    near = np.argmin([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
+    return np.asarray(np.eye(n)[near])
+
+
+def _sliced(points: FloatArray, n: int) -> FloatArray:
+    """First guess of groups: even slices along the direction of the greatest scatter."""
+    z = (points - points.mean(axis=0)) / (points.std(axis=0) + 1e-9)
+    along = z @ np.linalg.eigh(z.T @ z)[1][:, -1]
+    rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
+    return np.asarray(np.eye(n)[rank * n // len(points)])
+
+
+def textured_groups(
+    found: Sequence[NDArray[np.float32]],
+    labels: Labels,
+    dark: NDArray[np.bool_],
+    count: int | None,
+) -> tuple[Labels, bool]:
+    """Group blocks by amplitude and texture.
+
+    Parameters
+    ----------
+    found : sequence of ndarray of float32 (channels, rows, columns)
+        Of :func:`sasmap.sediments.texture.channels`, of each look.
+    labels : ndarray of int (block rows, block columns)
+        Groups by amplitude; -1 for none.
+    dark : ndarray of bool (block rows, block columns)
+        Blocks of no sediment.
+    count : int or None
+        Groups; found where None.
+
+    Returns
+    -------
+    groups : ndarray of int (block rows, block columns)
+        -1 for none.
+    needed : bool
+        Whether amplitude alone has put unlike textures together.
+    """
+    described = _described(found, dark)
+    index = np.nonzero(np.isfinite(described[..., 0]))
+    points = np.ascontiguousarray(described[index])
+    groups = grouped(points, (SCATTER,) * points.shape[1], count or 1, count)
+    result = np.full(labels.shape, -1)
+    result[index] = _united(points, groups, count or 1, APART)
+    result = pruned(result, count or 1)
+    points, groups = described[result >= 0], result[result >= 0]
+    result[result >= 0] = _united(points, groups, count or 1, APART if count is None else np.inf)
+    return result, any(_mixed(described, labels, dark, k) for k in range(int(labels.max()) + 1))
+
+
+def _described(found: Sequence[NDArray[np.float32]], dark: NDArray[np.bool_]) -> FloatArray:
+    """Texture of blocks and those around them (block rows, block columns, 9), NaN where unknown.
+
+    Mean log amplitude, log variances of it at each scale but the coarsest, and log mean squares of
+    differences; the mean over all looks.
+    """
+    total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
+    looks = np.zeros(dark.shape)
+    near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
+    for channels in found:
+        known = np.isfinite(channels[0])
+        count = _around(_block_sums(known.astype(np.float32)) * ~dark)
+        enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
+
+        def mean(values: NDArray[np.floating], count: FloatArray = count) -> FloatArray:
+            sums = _block_sums(np.nan_to_num(values)) * ~dark
+            return _around(sums) / np.maximum(count, 1)
+
+        level = mean(channels[0])
+        parts = [level]
+        for k in range(len(SCALES) - 1):
+            middle = level if k == 0 else mean(channels[k])
+            parts.append(np.log(np.maximum(mean(channels[k] ** 2) - middle**2, 1e-6)))
+        parts += [np.log(mean(c**2) + 1e-6) for c in channels[len(SCALES) :]]
+        total += np.where(enough[..., None], np.stack(parts, axis=-1), 0.0)
+        looks += enough
+    return np.where(looks[..., None] > 0, total / np.maximum(looks, 1)[..., None], np.nan)
+
+
+def _block_sums(values: NDArray[np.floating]) -> FloatArray:
+    rows, columns = (n // BLOCK for n in values.shape)
+    parts = values[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    return np.asarray(parts.sum(axis=(1, 3), dtype=np.float64))
+
+
+def _around(sums: FloatArray) -> FloatArray:
+    """Mean of a block and those around it."""
+    return np.asarray(uniform_filter(sums, AROUND, mode="constant"))
+
+
+def _mixed(described: FloatArray, groups: Labels, dark: NDArray[np.bool_], k: int) -> bool:
+    """Whether a group by amplitude holds two textures, each with a place of its own."""
+    mine = groups == k
+    # blocks of no group are uneven and tell nothing, but shadow and other groups are near
+    foreign = dark | ((groups >= 0) & ~mine)
+    inside = binary_erosion(~foreign, np.ones((CLEAR, CLEAR)), border_value=1) & mine
+    inside &= np.isfinite(described[..., 0])
+    if inside.sum() < ENOUGH:
+        return False
+    points = np.ascontiguousarray(described[inside][:, 1:])
+    labels = np.full(mine.shape, -1)
+    labels[inside] = _united(points, grouped(points, (SCATTER,) * points.shape[1], 1), 1, APART)
+    labels = pruned(labels, 1)
+    shares = np.bincount(labels[labels >= 0]) / inside.sum()
+    return bool((shares > RARE).sum() > 1)
+
+
+def _united(points: FloatArray, groups: Labels, least: int, apart: float) -> Labels:
+    """Unite groups that differ by less than so much, the nearest first; `least` are left."""
+    _, groups = np.unique(groups, return_inverse=True)
+    while groups.max() + 1 > least:
+        each = range(int(groups.max()) + 1)
+        normal = [_normal(points[groups == k]) for k in each]
+        pairs = [(bhattacharyya(normal[i], normal[j]), i, j) for i in each for j in range(i)]
+        if not pairs or min(pairs)[0] > apart:
+            break
+        _, i, j = min(pairs)
+        _, groups = np.unique(np.where(groups == i, j, groups), return_inverse=True)
+    return np.asarray(groups)
+
+
+def _normal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    size = points.shape[1]
+    spread = np.cov(points.T) if len(points) > size else np.diag(points.var(axis=0))
+    return points.mean(axis=0), spread + SCATTER**2 * np.eye(size)
+
+
+def bhattacharyya(
+    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]
+) -> float:
+    """Bhattacharyya distance of two Gaussians (mean, covariance), nats.
+
+    Parameters
+    ----------
+    first, second : tuple of ndarray
+        Mean (n,) and covariance (n, n).
+
+    Returns
+    -------
+    float
+    """
+    middle = 0.5 * (first[1] + second[1])
+    away = first[0] - second[0]
+    volumes = [np.linalg.slogdet(m)[1] for m in (middle, first[1], second[1])]
+    square = float(away @ np.linalg.solve(middle, away))
+    return square / 8 + 0.5 * float(volumes[0] - 0.5 * (volumes[1] + volumes[2]))

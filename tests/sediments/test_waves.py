@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
+
+SIZE = 640
+
+
+def speckle(seed, shape=(SIZE, SIZE), width=0.0):
+    z = np.random.default_rng(seed).normal(size=(2, *shape))
+    if width:
+        z = np.stack([gaussian_filter(v, width) for v in z])
+    return np.hypot(*z)
+
+
+def rippled(seed, length, turn, contrast=0.8, shape=(SIZE, SIZE)):
+    """Speckle over wandering crests, and how many times brighter these make it."""
+    y, x = np.indices(shape)
+    phase = 2 * np.pi * (x * np.cos(turn) + y * np.sin(turn)) / length + np.sin(y / 90)
+    pulse = np.maximum(1 + contrast * np.sin(phase), 0.15)
+    return speckle(seed, shape) * pulse, pulse
+
+
+@pytest.mark.parametrize(("length", "turn"), [(30, 0.4), (66, 0.0), (48, 1.9)])
+def test_ripples_are_taken_off_and_leave_the_level_of_flat_floor(length, turn):
+    image, pulse = rippled(1, length, turn)
+    waves = find_waves(image)
+    assert waves.rippled.mean() > 0.95
+    flat = image * np.exp(-waves.profile)
+    ripples = np.log(pulse)
+    before = np.std(gaussian_filter(np.log(image), 2))
+    after = np.std(gaussian_filter(np.log(flat), 2))
+    assert after < 0.35 * before
+    middle = slice(100, -100), slice(100, -100)
+    assert np.corrcoef(ripples[middle].ravel(), waves.profile[middle].ravel())[0, 1] > 0.97
+    # amplitude is linear in slope: the mean amplitude is that of flat floor, 0.3 dB or so
+    assert np.mean(flat) / np.mean(speckle(1)) == pytest.approx(1, abs=0.05)
+
+
+def test_ripples_end_where_they_end():
+    image, _ = rippled(2, 50, 0.3)
+    y, x = np.indices(image.shape)
+    there = np.hypot(x - 320, y - 320) < 200
+    waves = find_waves(np.where(there, image, speckle(3)))
+    near = np.abs(np.hypot(x - 320, y - 320) - 200) < 45
+    assert waves.rippled[there & ~near].mean() > 0.95
+    assert waves.rippled[~there & ~near].mean() < 0.02
+    assert np.abs(waves.profile[~there & ~near]).mean() < 0.02
+
+
+@pytest.mark.parametrize("kind", ["speckle", "correlated", "boulders", "edges", "objects", "holes"])
+def test_what_is_no_ripple_is_left_alone(kind):
+    image = speckle(4, width=1.5 if kind == "correlated" else 0.0)
+    y, x = np.indices(image.shape)
+    if kind == "boulders":
+        texture = gaussian_filter(np.random.default_rng(5).normal(size=image.shape), 8)
+        image *= np.exp(0.7 * texture / texture.std())
+    elif kind == "edges":
+        image[x + 15 * np.sin(y / 40) > 300] *= 3
+        image[y + x / 2 > 500] *= 0.4
+    elif kind == "objects":
+        image[200:240, 150:260] *= 8
+        image[200:240, 260:360] *= 0.05
+    elif kind == "holes":
+        image[:, 250:400] = np.nan
+    waves = find_waves(image)
+    assert not waves.rippled.any()
+    assert not waves.profile.any()
+
+
+def test_sediments_under_ripples_keep_their_levels():
+    image, _ = rippled(6, 40, 0.2)
+    x = np.indices(image.shape)[1]
+    image = np.where(x > 320, 2.0, 1.0) * image
+    waves = find_waves(image)
+    flat = np.log(image * np.exp(-waves.profile))
+    assert flat[:, 400:].mean() - flat[:, :240].mean() == pytest.approx(np.log(2), abs=0.05)
+
+
+def test_pieces_of_a_survey_agree_with_the_whole():
+    shape = (5 * LATTICE + 70, 4 * LATTICE)
+    image, _ = rippled(7, 45, 0.9, shape=shape)
+    image[:, 900:] = speckle(8, shape)[:, 900:]
+    whole = find_waves(image)
+    first, last = 2 * LATTICE, 4 * LATTICE
+    piece = find_waves(image[first - MARGIN : last + MARGIN])
+    part = slice(MARGIN, MARGIN + last - first)
+    np.testing.assert_allclose(piece.profile[part], whole.profile[first:last], atol=1e-5)
+    np.testing.assert_array_equal(piece.rippled[part], whole.rippled[first:last])
+
+
+def test_what_is_unknown_changes_nothing_around_it():
+    image, _ = rippled(9, 44, 0.1)
+    alone = find_waves(image)
+    padded = np.full((SIZE + 300, SIZE + 300), np.nan)
+    padded[:SIZE, :SIZE] = image
+    found = find_waves(padded)
+    assert np.abs(found.profile[:SIZE, :SIZE] - alone.profile).mean() < 0.02
+    assert not found.rippled[SIZE:].any()
