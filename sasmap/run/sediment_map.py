@@ -201,7 +201,7 @@ def map_sediments(
     def canvas(name: str, dtype: str) -> Canvas:
         return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
 
-    surface = lay(ground, known, workers, scratch, stack)
+    surface = lay(ground, known, workers, scratch, stack, progress)
     classes = _classes(surface, count, known)
     if classes is None:
         return None
@@ -211,10 +211,7 @@ def map_sediments(
     def classify(part: Part) -> None:
         _classify(surface, classes, part, kept, label, confidence)
 
-    blocks = list(surface.blocks(SIDE))
-    for done, _ in enumerate(mapped(classify, blocks, workers), 1):
-        if progress is not None:
-            progress(done, len(blocks))
+    deque(mapped(classify, surface.blocks(SIDE), workers), 0)
     # a pixel's log odds by texture are those of a window: a boundary may count them but once
     step = STEP if classes.texture is None else STEP / SHARED
     layers = [Quantised(layer, step) for layer in kept]
