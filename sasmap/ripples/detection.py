@@ -36,8 +36,9 @@ STRENGTH, STRONG, WIDE, MANY = 5.0, (0.22, 0.4), (2.6, 2.8), (-12.0, -9.0)
 MAX_KURTOSIS, PER_KURTOSIS = 0.6, 6.0
 # Nats of a wave that does not look like a thing on the floor at all.
 OBJECT = 12.0
-# Wavelengths along its normal that a wave must extend over, and nats for each beyond.
-MIN_EXTENT, PER_WAVE = 2.5, 10.0
+# Wavelengths along its normal that a wave must extend over; share of those that the place holds
+# beyond twice as many (a few lines may lie in step, but not all over it); nats for each beyond.
+MIN_EXTENT, OF_MORE, PER_WAVE = 2.5, 0.1, 10.0
 # Evidence for a wave looked at along its crests from which it is remarked; contrast of pings' gains
 # and share of their variance that say the same.
 SURE, ALONG_CONTRAST, ALONG_SHARE = 3.0, 0.1, 0.5
@@ -161,9 +162,10 @@ def _wave(image: Image, flat: FloatArray, peak: Peak) -> Wave:
     strong = _ramp(contrast, *STRONG) * _ramp(seen.extent, *WIDE) * _ramp(-peak.waves, *MANY)
     whole = places[0].size == flat.size
     trials = 0.0 if whole else PART_TRIALS
+    least = MIN_EXTENT + OF_MORE * float(np.clip(peak.waves - MIN_EXTENT * 2, 0, 5))
     evidence = min(
         peak.evidence - PRIOR - trials + STRENGTH * strong,
-        PER_WAVE * (seen.extent - MIN_EXTENT),
+        PER_WAVE * (seen.extent - least),
         PER_KURTOSIS * (MAX_KURTOSIS - seen.lines),
     )
     if evidence > 0:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, grey_closing, grey_opening
+from scipy.ndimage import gaussian_filter, grey_closing, grey_opening, label
 from scipy.special import ndtr
 
 from sasmap.ripples.image import Image
@@ -32,6 +32,8 @@ EDGE = 0.5
 UNEVEN = 0.15
 # Angle from the vertical below which contrast is not compared, rad.
 STEEP = 0.05
+# Area, in squares of a wavelength, under which a gap or a spot is none.
+SPECK = 1.5
 # Rounds in which the ripples' amplitude is told from the places that have it.
 ROUNDS = 4
 
@@ -82,9 +84,7 @@ def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> E
     """
     boxes = demodulate(image, wave)
     field, probability, own = _local(image, boxes, own)
-    size = 2 * int(np.ceil(0.5 * boxes.wavelength)) + 1
-    # a fork takes amplitude away over less than a wavelength, and nothing smaller is a patch
-    probability = grey_opening(grey_closing(probability, (size, size)), (size, size))
+    probability = _without_specks(probability, boxes.wavelength)
     pixels = np.where(image.valid, spread_boxes(probability, boxes.size, image.shape), np.nan)
     inside = (probability > 0.5) & (boxes.count > 0)
     rippled = pixels[image.valid] > 0.5
@@ -97,6 +97,17 @@ def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> E
         float(corners.sum()) * box,
         own,
     )
+
+
+def _without_specks(probability: FloatArray, wavelength: float) -> FloatArray:
+    """Fill gaps that forks leave, and take off spots: both smaller than a wavelength's square."""
+    size = 2 * int(np.ceil(0.5 * wavelength)) + 1
+    for morphology, side in ((grey_closing, probability <= 0.5), (grey_opening, None)):
+        areas, _ = label(probability > 0.5 if side is None else side)
+        small = np.bincount(areas.ravel()) < SPECK * wavelength**2
+        small[0] = False
+        probability = np.where(small[areas], morphology(probability, (size, size)), probability)
+    return probability
 
 
 def _local(

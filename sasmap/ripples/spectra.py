@@ -52,8 +52,8 @@ LINE_BINS, LINE_TRIALS = 12.0, 2.0
 # Peaks of a part that are kept.
 MOST_PEAKS = 6
 # Evidence below which a peak is not looked at, valid share of a part, share of MIN_WAVES that a
-# cell's middle may lie below, and reach of a peak's centroid, of its wave vector.
-WORTH, MIN_VALID, NEARLY, SPAN = 6.0, 0.4, 0.85, 0.3
+# cell's middle may lie below, and reaches of a peak's centroid, of its wave vector.
+WORTH, MIN_VALID, NEARLY, SPANS = 6.0, 0.4, 0.85, (0.3, 0.5)
 
 
 @dataclass(frozen=True)
@@ -339,7 +339,9 @@ def _peaks(flat: FloatArray, valid: BoolArray, part: tuple[slice, slice]) -> lis
     tops = (table.level >= top) & (waves >= NEARLY * MIN_WAVES) & (evidence > WORTH)
     peaks = []
     for i, j in zip(*np.nonzero(tops), strict=True):
-        per_pixel = _centroid(table, wavelength[i, 0], turn[j])
+        per_pixel = np.array([np.cos(turn[j]), np.sin(turn[j])]) / wavelength[i, 0]
+        for span in SPANS:
+            per_pixel = _centroid(table, per_pixel, span)
         held = float(np.hypot(per_pixel[0] * columns, per_pixel[1] * rows))
         energy = float(table.level[i, j] * table.bins[i, j]) * share * part_valid.size / valid.size
         if held >= MIN_WAVES and MIN_PIXELS * np.hypot(*per_pixel) <= 1:
@@ -348,30 +350,28 @@ def _peaks(flat: FloatArray, valid: BoolArray, part: tuple[slice, slice]) -> lis
     return sorted(peaks, key=lambda p: -p.evidence)[:MOST_PEAKS]
 
 
-def _centroid(table: Table, wavelength: float, turn: float) -> FloatArray:
-    """Cycles a column and a row: centre of the power around the highest bin near a cell."""
+def _centroid(table: Table, per_pixel: FloatArray, span: float) -> FloatArray:
+    """Centre of the squared power around a wave, cycles a column and a row.
+
+    `span` is how far around, over the wave number: crests that bend and fork spread power.
+    """
     rows, columns = table.full
-    reach = np.array([columns, rows]) * SPAN / wavelength
-    middle = np.array([np.cos(turn) * columns, np.sin(turn) * rows]) / wavelength
+    reach = span * float(np.hypot(*per_pixel))
+    sides = zip((columns, rows), per_pixel, strict=True)
     right, down = (
-        np.arange(int(np.floor(m - r)), int(np.ceil(m + r)) + 1)
-        for m, r in zip(middle, reach, strict=True)
+        np.arange(int(np.floor(n * (m - reach))), int(np.ceil(n * (m + reach))) + 1)
+        for n, m in sides
     )
     # of a real image's transform, the half plane that was not computed is the other one turned
-    column, row = np.meshgrid(right, down)
-    row = np.where(column < 0, -row, row)
-    power = table.power[row % rows, np.minimum(np.abs(column), table.power.shape[1] - 1)]
-    away = (column[:] / columns - middle[0] / columns) ** 2 + (
-        down[:, None] / rows - middle[1] / rows
-    ) ** 2
-    power = np.where(away <= (SPAN / wavelength) ** 2, power, 0.0) ** 2
-    total = max(float(power.sum()), 1e-300)
-    return np.array(
-        [
-            float((power * column).sum()) / total / columns,
-            float((power * down[:, None]).sum()) / total / rows,
-        ]
-    )
+    mirrored = np.where(right < 0, -1, 1)
+    power = table.power[
+        (mirrored * down[:, None]) % rows, np.minimum(np.abs(right), table.power.shape[1] - 1)
+    ]
+    east, north = right / columns, down[:, None] / rows
+    near = np.hypot(east - per_pixel[0], north - per_pixel[1]) <= reach
+    weight = np.where(near, power, 0.0) ** 2
+    total = max(float(weight.sum()), 1e-300)
+    return np.array([float((weight * v).sum()) / total for v in (east, north)])
 
 
 def _parts(shape: tuple[int, int]) -> list[tuple[slice, slice]]:

@@ -99,7 +99,8 @@ class Store:
 def _summary(content: dict[str, Any]) -> Summary:
     if set(content) != {f.name for f in fields(Summary)}:
         raise ValueError("not a summary of this version")
-    pairs = {k: _frozen(v) for k, v in content.items()}
+    reason = str(content.pop("reason"))  # the one text; all others stand for numbers
+    pairs = {"reason": reason} | {k: _frozen(v) for k, v in content.items()}
     pairs["quality"] = Quality(content["quality"])
     pairs["left_out"] = LeftOut(content["left_out"])
     pairs["derived"] = Derived(*pairs["derived"])
