@@ -102,7 +102,7 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
             store.output,
             found.label,
             found.confidence,
-            found.surface.rippled,
+            found.rippled,
             found.lines,
             found.names,
             codes,

@@ -42,6 +42,8 @@ EVEN = 3.0
 APART = 0.02
 # Nats a pixel below which two textures have one histogram.
 ALIKE = 0.005
+# Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
+WITHIN = 0.8
 SAMPLES = 60_000
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
@@ -137,7 +139,8 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     labels, laws = _merged(looks, labels, count or 1, how, APART if count is None else np.inf)
     others = _laws(looks, textured, *how)
     # where amplitude suffices, it has the sharper boundaries
-    needed = len(others) >= max(len(laws), 2) and (mixed or _too_alike(others))
+    hidden = mixed or (_too_alike(others) and _within(textured, labels))
+    needed = hidden and len(others) >= max(len(laws), 2)
     if needed:
         labels, laws = textured, others
     order = np.argsort([law.mean_square for law in laws], kind="stable")
@@ -455,6 +458,14 @@ def _merged(
         labels = np.where(labels > i, labels - 1, labels)
         laws = _laws(looks, labels, *how)
     return labels, laws
+
+
+def _within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:
+    """Whether each group of blocks lies mostly within one class, and so cuts across none."""
+    both = (groups >= 0) & (classes >= 0)
+    table = np.zeros((int(groups.max()) + 1, int(classes.max()) + 1))
+    np.add.at(table, (groups[both], classes[both]), 1)
+    return bool((table.max(axis=1) >= WITHIN * table.sum(axis=1)).all())
 
 
 def _too_alike(laws: Sequence[Law]) -> bool:
