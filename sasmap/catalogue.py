@@ -145,7 +145,9 @@ CATALOGUE = (
         "ripples",
         "polygons",
         "Rippled sea floor",
-        "Outlines of the rippled sea floor, traced at pixels, not at cells.",
+        "Outlines of the rippled sea floor, traced at pixels, across cells: `area` (m²) and "
+        "`wavelength` (m).",
+        shown=True,
     ),
     Product(
         "ripple_wavelength.tif",
@@ -243,7 +245,8 @@ CATALOGUE = (
         "sediments",
         "polygons",
         "Sediment areas",
-        "Polygons of the sediments: class, name, area (m²), mean confidence, rippled or not.",
+        "Polygons of the sediments that meet exactly: `class`, `name`, `code`, `area_m2`, mean "
+        "`confidence`, and whether most of it is `rippled`.",
     ),
     Product(
         "sediment_class.tif",

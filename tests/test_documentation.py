@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sasmap.products.reference import catalogue_reference
@@ -38,11 +39,13 @@ def test_page_of_products_is_that_of_the_catalogue():
 
 
 def test_to_arviz_tells_what_to_install(monkeypatch):
-    from sasmap.ripples.posterior import Posterior, Quality
+    from sasmap.ripples.posterior import Posterior, Quality, dataset
     from sasmap.ripples.priors import Prior
 
-    monkeypatch.setitem(sys.modules, "arviz", None)  # as if it were not installed
-    posterior = Posterior(Quality.GOOD, Prior.natural((0.05, 5.0), (0.0, 0.5)))
+    for name in ("arviz", "arviz_base"):
+        monkeypatch.setitem(sys.modules, name, None)  # as if it were not installed
+    draws = dataset({"frequency": np.full((2, 5), 0.6)})
+    posterior = Posterior(Quality.GOOD, Prior.natural((0.05, 5.0), (0.0, 0.5)), draws)
     with pytest.raises(ImportError, match="pip install arviz"):
         posterior.to_arviz()
 

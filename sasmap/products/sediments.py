@@ -12,6 +12,8 @@ import shapely
 from affine import Affine
 from numpy.typing import NDArray
 from rasterio.features import rasterize, shapes
+from rasterio.windows import Window
+from shapely.affinity import translate
 from shapely.geometry import shape
 
 from sasmap.io.geopackage import Area, Feature, write_areas, write_boundaries
@@ -74,50 +76,49 @@ def write_sediments(
     features = [_feature(line, names, transform, step) for line in lines]
     write_boundaries(written[2], features, crs, scratch)
     written.append(folder / "sediment_areas.gpkg")
-    found = areas_of(written[0], confidence, rippled, names, codes)
+    found = areas_of(label, confidence, rippled, names, codes, transform, scratch)
     write_areas(written[3], found, crs, scratch)
     return written
 
 
 def areas_of(
-    classes: Path, confidence: Any, rippled: Any, names: Sequence[str], codes: Sequence[str]
+    label: Any,
+    confidence: Any,
+    rippled: Any,
+    names: Sequence[str],
+    codes: Sequence[str],
+    transform: Affine,
+    scratch: Path,
 ) -> list[Area]:
     """Outline the areas of a map so that neighbours share their outlines point by point.
 
+    What is rippled of a class is an area of its own.
+
     Parameters
     ----------
-    classes : Path
-        Raster of classes, on the map's lattice.
-    confidence, rippled : array (rows, columns)
+    label, confidence, rippled : array (rows, columns)
         Read in stripes.
     names, codes : sequence of str
+    transform : Affine
+    scratch : Path
 
     Returns
     -------
     list of Area
-        Row by row of their first pixel.
+        In the order in which they end, from the top.
     """
-    with rasterio.open(classes) as source:
-        transform, width, height = source.transform, source.width, source.height
-        found = [
-            (shape(g), int(v))
-            for g, v in shapes(rasterio.band(source, 1), connectivity=4, transform=transform)
-            if v > 0
-        ]
+    height, width = label.shape
+    found = _outlined(label, rippled, scratch)
     if not found:
         return []
 
-    def pixels(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.rint(np.column_stack(~transform @ (points[:, 0], points[:, 1]))))
-
-    # in pixels: whole numbers, which meet exactly
-    outlines = list(shapely.transform([g for g, _ in found], pixels))
-    total = np.zeros((3, len(found)))
+    outlines = [outline for outline, _ in found]
+    total = np.zeros((2, len(found)))
     tree = shapely.STRtree(outlines)
     for top in range(0, height, STRIPE):
         rows = slice(top, min(top + STRIPE, height))
         here = tree.query(shapely.box(0, top, width, rows.stop))
-        total += _sums(outlines, here, top, confidence[rows], rippled[rows])
+        total += _sums(outlines, here, top, confidence[rows])
     pixel = abs(transform.determinant)
     # where three areas meet, each has to have the point; then a staircase of pixels is no outline:
     # corners of less than two pixels go, on both sides alike
@@ -126,15 +127,44 @@ def areas_of(
     return [
         Area(
             outline,
-            k,
-            names[k - 1],
-            codes[k - 1],
+            k // 2,
+            names[k // 2 - 1],
+            codes[k // 2 - 1],
             float(count * pixel),
             float(np.clip(sure / max(count, 1), 0, 1)),
-            bool(wavy > 0.5 * count),
+            bool(k % 2),
         )
-        for outline, (_, k), count, sure, wavy in zip(smooth, found, *total, strict=True)
+        for outline, (_, k), count, sure in zip(smooth, found, *total, strict=True)
     ]
+
+
+def _outlined(label: Any, rippled: Any, scratch: Path) -> list[tuple[Any, int]]:
+    """Outlines in pixels, whole numbers that meet exactly, and twice the class plus rippled."""
+    height, width = label.shape
+    profile = {"driver": "GTiff", "dtype": "uint16", "count": 1, "compress": "lzw"}
+    scratch.mkdir(parents=True, exist_ok=True)
+    draft = scratch / "areas.tif"
+    try:
+        # upside down to no one but GDAL, which warns of a raster without a place
+        place = Affine.translation(0.0, 1.0)
+        with rasterio.open(
+            draft, "w", height=height, width=width, transform=place, **profile
+        ) as target:
+            for top in range(0, height, STRIPE):
+                rows = slice(top, min(top + STRIPE, height))
+                both = label[rows].astype(np.uint16) * 2 + (rippled[rows] > 0)
+                both[label[rows] == 0] = 0
+                target.write(both, 1, window=Window(0, top, width, len(both)))
+        with rasterio.open(draft) as source:
+            band = rasterio.band(source, 1)
+            found = [
+                (translate(shape(g), 0.0, -1.0), int(v))
+                for g, v in shapes(band, connectivity=4, transform=place)
+                if v > 1
+            ]
+    finally:
+        draft.unlink(missing_ok=True)
+    return found
 
 
 def _sums(
@@ -142,17 +172,15 @@ def _sums(
     here: NDArray[np.int64],
     top: int,
     confidence: NDArray[np.floating],
-    rippled: NDArray[np.uint8],
 ) -> NDArray[np.float64]:
-    """Pixels, confidence and rippled pixels of each area (3, areas) in a stripe."""
-    total = np.zeros((3, len(outlines)))
+    """Pixels and their confidence of each area (2, areas) in a stripe."""
+    total = np.zeros((2, len(outlines)))
     if here.size:
         marked = [(outlines[i], int(i) + 1) for i in np.sort(here)]
         place = Affine.translation(0, top)
         number = rasterize(marked, confidence.shape, transform=place, dtype="int32").ravel()
-        for row, weight in zip(total, (None, np.nan_to_num(confidence), rippled), strict=True):
-            w = None if weight is None else weight.ravel()
-            row += np.bincount(number, w, minlength=len(outlines) + 1)[1:]
+        for row, weight in zip(total, (None, np.nan_to_num(confidence).ravel()), strict=True):
+            row += np.bincount(number, weight, minlength=len(outlines) + 1)[1:]
     return total
 
 

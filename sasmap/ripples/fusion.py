@@ -482,12 +482,13 @@ def estimates(
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])
-    anywhere = np.array([-np.inf, np.inf])
+    # f is far better known than A_H, whose bounds are those of the steepness at the cell's f
+    steep = np.log(2) + (weight * mean[..., 0]).sum(axis=1) + bounds[1][:, None]
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
     logs = [
         (mean[..., 0], variance[..., 0], bounds[0]),
         (mean[..., 1], variance[..., 1], bounds[1]),
-        (np.log(2) + mean[..., 0] + mean[..., 1], ratio, anywhere),
+        (np.log(2) + mean[..., 0] + mean[..., 1], ratio, steep),
         (-mean[..., 0], variance[..., 0], -bounds[0][::-1]),
     ]
     found = [marginals(weight, m, np.sqrt(np.maximum(v, 1e-20)), b) for m, v, b in logs]

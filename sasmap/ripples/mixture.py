@@ -89,7 +89,7 @@ def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: Floa
     ----------
     weight, mean, sd : ndarray (n, K)
         Of the logs.
-    bounds : ndarray (2,)
+    bounds : ndarray (2,) or (2, n)
         Of the log.
 
     Returns
@@ -97,7 +97,7 @@ def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: Floa
     Marginal
         Of the parameters, not of their logs.
     """
-    low, high = ((b - mean) / sd for b in bounds)
+    low, high = ((np.reshape(b, (-1, 1)) - mean) / sd for b in bounds)
     mass = ndtr(high) - ndtr(low)
     total = (weight * mass).sum(axis=1)
     inside = total > OUTSIDE

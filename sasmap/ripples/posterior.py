@@ -217,11 +217,17 @@ class Posterior:
         values = {str(name): self.draws[name].values for name in self.draws}
         try:
             from arviz_base import from_dict  # what ArviZ is made of since 1.0
-        except ImportError:
-            import arviz
 
-            return arviz.from_dict(posterior=values)
-        return from_dict({"posterior": values})
+            return from_dict({"posterior": values})
+        except ImportError:
+            pass
+        try:
+            import arviz
+        except ImportError:
+            raise ImportError(
+                "ArviZ is not installed: pip install arviz (or pip install 'sasmap[studies]')"
+            ) from None
+        return arviz.from_dict(posterior=values)
 
     @property
     def _judged(self) -> dict[str, FloatArray]:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sasmap import ripples
 from sasmap.errors import InputError
+from sasmap.ripples import rendering
 from sasmap.run.plan import Plan
 from sasmap.run.sediment_map import SAMPLE
 from sasmap.run.store import Store
@@ -132,16 +132,12 @@ def _timed(plan: Plan, left: int) -> list[float]:
 
 
 def compiled() -> bool:
-    """Whether the compiled code of this version is there."""
-    folder = Path(ripples.__file__).parent
+    """Whether the compiled code of this version is there, by that of the rendered wavelength."""
+    source = Path(rendering.__file__)
     cached = os.environ.get("NUMBA_CACHE_DIR")
-    newest: dict[str, float] = {}
-    for path in Path(cached).rglob("*.nbi") if cached else folder.glob("__pycache__/*.nbi"):
-        module = path.name.partition(".")[0]
-        newest[module] = max(newest.get(module, 0.0), path.stat().st_mtime)
-    sources = {path.stem: path.stat().st_mtime for path in folder.glob("*.py")}
-    known = {module: newest[module] for module in newest if module in sources}
-    return bool(known) and all(made > sources[module] for module, made in known.items())
+    folder = Path(cached) if cached else source.parent / "__pycache__"
+    made = (path.stat().st_mtime for path in folder.rglob(f"{source.stem}.*.nbi"))
+    return max(made, default=0.0) > source.stat().st_mtime
 
 
 def check_fits(plan: Plan, workers: int | None) -> None:

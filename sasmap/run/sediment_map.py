@@ -28,13 +28,15 @@ from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 FloatArray = NDArray[np.float64]
 
 # Pixels, of all looks, from which classes are found, and pixels a side of the blocks they are in.
-SAMPLE, SAMPLED_SIDE = 6_000_000, 256
+SAMPLE, SAMPLED_SIDE = 4_000_000, 256
 # Pixels a side of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
 STEP, DEEPEST = 0.1, 12.7
 # Steps of the probability that is kept.
 PROBABILITY = 0.002
+# Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
+FEWEST_RIPPLED = 4096
 # Bins of a class's amplitudes in the report, and blocks that they are of, at most.
 BINS, DRAWN = 40, 24
 
@@ -68,6 +70,8 @@ class SedimentMap:
     classes : Classes
     names : tuple of str
     surface : Surface
+    rippled : Canvas of uint8 (rows, columns)
+        1 where the floor is rippled.
     """
 
     label: Canvas
@@ -76,6 +80,7 @@ class SedimentMap:
     classes: Classes
     names: tuple[str, ...]
     surface: Surface
+    rippled: Canvas
 
     def histograms(self) -> list[dict[str, list[float]]]:
         """Amplitudes of each class on the map, less gain and trend, of some blocks.
@@ -201,7 +206,7 @@ def map_sediments(
     def canvas(name: str, dtype: str) -> Canvas:
         return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
 
-    surface = lay(ground, known, workers, scratch, stack)
+    surface = lay(ground, known, workers, scratch, stack, progress)
     classes = _classes(surface, count, known)
     if classes is None:
         return None
@@ -211,10 +216,7 @@ def map_sediments(
     def classify(part: Part) -> None:
         _classify(surface, classes, part, kept, label, confidence)
 
-    blocks = list(surface.blocks(SIDE))
-    for done, _ in enumerate(mapped(classify, blocks, workers), 1):
-        if progress is not None:
-            progress(done, len(blocks))
+    deque(mapped(classify, surface.blocks(SIDE), workers), 0)
     # a pixel's log odds by texture are those of a window: a boundary may count them but once
     step = STEP if classes.texture is None else STEP / SHARED
     layers = [Quantised(layer, step) for layer in kept]
@@ -225,13 +227,19 @@ def map_sediments(
     paint(label, lines, final)
     if least > 1:
         final = _without_small(surface, final, least, canvas("sieved", "uint8"), workers)
+    rippled = canvas("ripples", "uint8")
+    _mark_rippled(surface, final, max(least, FEWEST_RIPPLED), rippled, workers)
     names = known.names if known is not None else ()
-    found = SedimentMap(final, confidence, tuple(lines), classes, names, surface)
+    found = SedimentMap(final, confidence, tuple(lines), classes, names, surface, rippled)
     return found.merged() if known is not None else _without_empty(found)
 
 
 def _without_small(
-    surface: Surface, label: Canvas, least: float, result: Canvas, workers: int | None
+    surface: Surface,
+    label: Canvas,
+    least: float,
+    result: Canvas,
+    workers: int | None,
 ) -> Canvas:
     """Give patches of too few pixels to the class that is nearest, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))  # most patches are no longer than twice their root
@@ -242,6 +250,26 @@ def _without_small(
 
     deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
     return result
+
+
+def _mark_rippled(
+    surface: Surface, label: Canvas, least: float, result: Canvas, workers: int | None
+) -> None:
+    """Mark what is rippled of each class, but for patches of too few pixels, block by block."""
+    margin = int(np.ceil(2 * np.sqrt(least)))
+
+    def one(part: Part) -> None:
+        wide, inner = surface.around(part, margin)
+        classes, rippled = label[wide], surface.rippled[wide]
+        if not rippled.any():
+            return
+        for k in np.unique(classes[classes > 0]):
+            mine = np.where(classes == k, rippled + np.uint8(1), np.uint8(0))
+            mine = sieved(mine, least, wide == surface.whole)
+            rippled = np.where(mine > 0, mine - np.uint8(1), rippled)
+        result[part] = rippled[inner]
+
+    deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
 
 
 def _without_empty(found: SedimentMap) -> SedimentMap:

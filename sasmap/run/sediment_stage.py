@@ -116,7 +116,7 @@ def _map(
             store.output,
             found.label,
             found.confidence,
-            found.surface.rippled,
+            found.rippled,
             found.lines,
             found.names,
             codes,

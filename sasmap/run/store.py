@@ -22,6 +22,8 @@ from sasmap.ripples.summary import Summary
 from sasmap.version import VERSION
 
 FOLDER = ".sasmap"
+# What JSON has no number for, as text.
+NO_NUMBERS = ("nan", "inf", "-inf")
 
 
 @dataclass(frozen=True)
@@ -115,10 +117,10 @@ def _plain(value: Any) -> Any:
 
 
 def _frozen(value: Any) -> Any:
-    """Turn lists, however deep, into the tuples they were, and text into numbers."""
+    """Turn lists, however deep, into the tuples they were, and such text into numbers."""
     if isinstance(value, list):
         return tuple(_frozen(v) for v in value)
-    return float(value) if isinstance(value, str) else value
+    return float(value) if value in NO_NUMBERS else value
 
 
 def digest(content: Any) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
 from sasmap.numerics.gaussians import expectation_maximisation, log_densities
-from sasmap.sediments.texture import LAGS, SCALES
+from sasmap.sediments.texture import LAGS, MARGIN, SCALES, channels
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN
 
 FloatArray = NDArray[np.float64]
@@ -18,6 +18,8 @@ Labels = NDArray[np.int64]
 MOST_CLASSES = 8
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
+# Rows of pixels that are described at once.
+STRIPE = 512
 # Blocks a side over which texture is described: 48 pixels.
 AROUND = 3
 # Blocks a side that must be free of other groups around one whose texture is its own: texture is
@@ -122,7 +124,7 @@ def _sliced(points: FloatArray, n: int) -> FloatArray:
 
 
 def textured_groups(
-    found: Sequence[NDArray[np.float32]],
+    logs: Sequence[FloatArray],
     labels: Labels,
     dark: NDArray[np.bool_],
     count: int | None,
@@ -131,8 +133,8 @@ def textured_groups(
 
     Parameters
     ----------
-    found : sequence of ndarray of float32 (channels, rows, columns)
-        Of :func:`sasmap.sediments.texture.channels`, of each look.
+    logs : sequence of ndarray (rows, columns)
+        Log amplitude of each look, without its trend; NaN where there is none.
     labels : ndarray of int (block rows, block columns)
         Groups by amplitude; -1 for none.
     dark : ndarray of bool (block rows, block columns)
@@ -147,7 +149,7 @@ def textured_groups(
     needed : bool
         Whether amplitude alone has put unlike textures together.
     """
-    described = _described(found, dark)
+    described = _described(logs, dark)
     index = np.nonzero(np.isfinite(described[..., 0]))
     points = np.ascontiguousarray(described[index])
     groups = grouped(points, (SCATTER,) * points.shape[1], count or 1, count)
@@ -159,7 +161,7 @@ def textured_groups(
     return result, any(_mixed(described, labels, dark, k) for k in range(int(labels.max()) + 1))
 
 
-def _described(found: Sequence[NDArray[np.float32]], dark: NDArray[np.bool_]) -> FloatArray:
+def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArray:
     """Texture of blocks and those around them (block rows, block columns, 9), NaN where unknown.
 
     Mean log amplitude, log variances of it at each scale but the coarsest, and log mean squares of
@@ -168,24 +170,42 @@ def _described(found: Sequence[NDArray[np.float32]], dark: NDArray[np.bool_]) ->
     total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
     looks = np.zeros(dark.shape)
     near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
-    for channels in found:
-        known = np.isfinite(channels[0])
-        count = _around(_block_sums(known.astype(np.float32)) * ~dark)
+    for look in logs:
+        sums = _texture_sums(look) * ~dark[..., None]
+        sums = np.stack([_around(s) for s in np.moveaxis(sums, -1, 0)])
+        count, means = sums[0], sums[1:] / np.maximum(sums[0], 1)
         enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
-
-        def mean(values: NDArray[np.floating], count: FloatArray = count) -> FloatArray:
-            sums = _block_sums(np.nan_to_num(values)) * ~dark
-            return _around(sums) / np.maximum(count, 1)
-
-        level = mean(channels[0])
-        parts = [level]
-        for k in range(len(SCALES) - 1):
-            middle = level if k == 0 else mean(channels[k])
-            parts.append(np.log(np.maximum(mean(channels[k] ** 2) - middle**2, 1e-6)))
-        parts += [np.log(mean(c**2) + 1e-6) for c in channels[len(SCALES) :]]
-        total += np.where(enough[..., None], np.stack(parts, axis=-1), 0.0)
+        split = len(SCALES) - 1
+        levels, squares, apart = means[:split], means[split : 2 * split], means[2 * split :]
+        parts = [
+            levels[:1],
+            np.log(np.maximum(squares - levels**2, 1e-6)),
+            np.log(np.maximum(apart, 0) + 1e-6),
+        ]
+        described = np.moveaxis(np.concatenate(parts), 0, -1)
+        total += np.where(enough[..., None], described, 0.0)
         looks += enough
     return np.where(looks[..., None] > 0, total / np.maximum(looks, 1)[..., None], np.nan)
+
+
+def _texture_sums(logs: FloatArray) -> FloatArray:
+    """Add up over blocks (block rows, block columns, 13), stripe by stripe.
+
+    Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
+    squares of differences.
+    """
+    split = len(SCALES) - 1
+    stripes = []
+    whole = logs.shape[0] // BLOCK * BLOCK
+    for top in range(0, whole, STRIPE):
+        bottom = min(top + STRIPE, whole)
+        first = max(top - MARGIN, 0)
+        found = channels(logs[first : bottom + MARGIN])[:, top - first : bottom - first]
+        known = np.isfinite(found[0]).astype(np.float32)
+        found = np.nan_to_num(found)
+        layers = [known, *found[:split], *(v**2 for v in (*found[:split], *found[split + 1 :]))]
+        stripes.append(np.stack([_block_sums(v) for v in layers], axis=-1))
+    return np.concatenate(stripes)
 
 
 def _block_sums(values: NDArray[np.floating]) -> FloatArray:

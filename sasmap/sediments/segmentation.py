@@ -42,6 +42,8 @@ EVEN = 3.0
 APART = 0.02
 # Nats a pixel below which two textures have one histogram.
 ALIKE = 0.005
+# Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
+WITHIN = 0.8
 SAMPLES = 60_000
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
@@ -127,17 +129,17 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     factor = noise_factor(looks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
-    how = trends, centre, factor
-    none = _dark_law(looks, dark, trends, centre, factor)
+    flat = [_flattened(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
+    none = _dark_law(flat, dark, factor)
     # groups that are one sediment first: each would be beside the other everywhere
-    labels, _ = _merged(looks, labels, count or 1, how, APART)
+    labels, _ = _merged(flat, labels, count or 1, factor, APART)
     labels = pruned(labels, count or 1)
-    found = [channels(_logs(v, t, centre)) for v, t in zip(looks, trends, strict=True)]
-    textured, mixed = textured_groups(found, labels, dark, count)
-    labels, laws = _merged(looks, labels, count or 1, how, APART if count is None else np.inf)
-    others = _laws(looks, textured, *how)
+    textured, mixed = textured_groups([_logs(v) for v in flat], labels, dark, count)
+    labels, laws = _merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
+    others = _laws(flat, textured, factor)
     # where amplitude suffices, it has the sharper boundaries
-    needed = len(others) >= max(len(laws), 2) and (mixed or _too_alike(others))
+    hidden = mixed or (_too_alike(others) and _within(textured, labels))
+    needed = hidden and len(others) >= max(len(laws), 2)
     if needed:
         labels, laws = textured, others
     order = np.argsort([law.mean_square for law in laws], kind="stable")
@@ -146,13 +148,12 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     if needed:
         number = np.append(np.argsort(order), -1) + 1  # the last is of blocks of no class
         marks = _marks_of(number[labels], looks[0].amplitude.shape)
-        texture = learn([(v, marks) for v in found], len(laws))
+        texture = learn([(channels(_logs(v)), marks) for v in flat], len(laws))
     return Classes(sorted_laws, trends, centre, factor, none, texture)
 
 
-def _logs(look: AmplitudeGrid, trend: FloatArray, centre: float) -> FloatArray:
+def _logs(flat: FloatArray) -> FloatArray:
     """Log amplitude less gain and trend; NaN where there is none."""
-    flat = _flattened(look, trend, centre)
     return np.log(np.where(flat > 0, flat, np.nan))
 
 
@@ -192,41 +193,37 @@ def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], coun
         _, groups = np.unique(labels[index], return_inverse=True)
         trends = refit(blocks, groups, index, trends)
     factor = noise_factor(looks)
+    flat = [_flattened(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
     laws = []
     for k in range(1, count + 1):
-        values = _pixels(looks, marks == k, trends, centre)
+        values = _pixels(flat, marks == k)
         if values.size < LEAST_SAMPLES * factor:
             raise ValueError(
                 f"class {k}: {values.size} known pixels are marked; expected at least "
                 f"{int(np.ceil(LEAST_SAMPLES * factor))}"
             )
         laws.append(choose(values, samples=values.size / factor).law)
-    none = _dark_law(looks, _dark(blocks, trends, laws), trends, centre, factor)
-    texture = _trained_texture(looks, marks, trends, centre, laws) if count > 1 else None
+    none = _dark_law(flat, _dark(blocks, trends, laws), factor)
+    texture = _trained_texture(flat, marks, laws) if count > 1 else None
     return Classes(tuple(laws), trends, centre, factor, none, texture)
 
 
 def _trained_texture(
-    looks: Sequence[AmplitudeGrid],
-    marks: NDArray[np.uint8],
-    trends: FloatArray,
-    centre: float,
-    laws: Sequence[Law],
+    flat: Sequence[FloatArray], marks: NDArray[np.uint8], laws: Sequence[Law]
 ) -> Texture | None:
     """Laws at several scales, if they tell the marked pixels apart better than amplitude does."""
     middle = np.log(max(law.mean_square for law in laws)) / 2
     grid = np.linspace(middle - 12, middle + 4, 800)
     table = [law.log_density(np.exp(grid)) for law in laws]
     parts, amplitude = [], []
-    for look, trend in zip(looks, trends, strict=True):
-        shown = (look.amplitude > 0) & (marks > 0)
+    for look in flat:
+        shown = (look > 0) & (marks > 0)
         if not shown.any():
             continue
         # no more of a look than its marks
         rows, columns = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
         box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-        part = AmplitudeGrid(look.amplitude[box], look.cotangent[box])
-        logs = _logs(part, trend, centre)
+        logs = _logs(look[box])
         parts.append((channels(logs), marks[box].astype(np.int64)))
         amplitude.append(np.stack([np.interp(logs, grid, t) for t in table]))
     if not tells_more(parts, amplitude, len(laws)):
@@ -276,7 +273,8 @@ def carry_over(looks: Sequence[AmplitudeGrid], laws: Sequence[Law], centre: floa
         if score > best_score:
             best, best_score = trends, score
     factor = noise_factor(looks)
-    none = _dark_law(looks, _dark(blocks, best, laws), best, centre, factor)
+    flat = [_flattened(look, trend, centre) for look, trend in zip(looks, best, strict=True)]
+    none = _dark_law(flat, _dark(blocks, best, laws), factor)
     return Classes(tuple(laws), best, centre, factor, none)
 
 
@@ -332,16 +330,10 @@ def _dark(blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()) ->
     return seen & (level < limit)
 
 
-def _dark_law(
-    looks: Sequence[AmplitudeGrid],
-    dark: NDArray[np.bool_],
-    trends: FloatArray,
-    centre: float,
-    factor: float,
-) -> Law | None:
+def _dark_law(flat: Sequence[FloatArray], dark: NDArray[np.bool_], factor: float) -> Law | None:
     if dark.sum() < LEAST_DARK:
         return None
-    values = _pixels(looks, _whole(dark), trends, centre)
+    values = _pixels(flat, _whole(dark))
     return choose(values, samples=values.size / factor).law
 
 
@@ -408,43 +400,35 @@ def _flattened(look: AmplitudeGrid, trend: FloatArray, centre: float) -> FloatAr
     return np.asarray(look.amplitude * np.exp(-trend_of(trend, place)))
 
 
-def _pixels(
-    looks: Sequence[AmplitudeGrid], mask: NDArray[np.bool_], trends: FloatArray, centre: float
-) -> FloatArray:
+def _pixels(flat: Sequence[FloatArray], mask: NDArray[np.bool_]) -> FloatArray:
     """Amplitudes of a class's pixels, flattened; evenly thinned."""
     rows, columns = mask.shape
     found = []
-    for look, trend in zip(looks, trends, strict=True):
-        values = _flattened(look, trend, centre)[:rows, :columns][mask]
+    for look in flat:
+        values = look[:rows, :columns][mask]
         found.append(values[np.isfinite(values) & (values > 0)])
     values = np.concatenate(found)
     return values[:: max(values.size // SAMPLES, 1)]
 
 
-def _laws(
-    looks: Sequence[AmplitudeGrid],
-    labels: NDArray[np.int64],
-    trends: FloatArray,
-    centre: float,
-    factor: float,
-) -> list[Law]:
+def _laws(flat: Sequence[FloatArray], labels: NDArray[np.int64], factor: float) -> list[Law]:
     laws = []
     for k in range(int(labels.max()) + 1):
-        values = _pixels(looks, _whole(labels == k), trends, centre)
+        values = _pixels(flat, _whole(labels == k))
         if values.size:
             laws.append(choose(values, samples=values.size / factor).law)
     return laws
 
 
 def _merged(
-    looks: Sequence[AmplitudeGrid],
+    flat: Sequence[FloatArray],
     labels: NDArray[np.int64],
     least: int,
-    how: tuple[FloatArray, float, float],
+    factor: float,
     apart: float,
 ) -> tuple[NDArray[np.int64], list[Law]]:
     """Unite classes whose laws differ by less than so much, the nearest first; `least` are left."""
-    laws = _laws(looks, labels, *how)
+    laws = _laws(flat, labels, factor)
     while len(laws) > least:
         each = range(len(laws))
         pairs = [(separation(laws[i], laws[j]), i, j) for i in each for j in range(i)]
@@ -453,8 +437,16 @@ def _merged(
             break
         labels = np.where(labels == i, j, labels)
         labels = np.where(labels > i, labels - 1, labels)
-        laws = _laws(looks, labels, *how)
+        laws = _laws(flat, labels, factor)
     return labels, laws
+
+
+def _within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:
+    """Whether each group of blocks lies mostly within one class, and so cuts across none."""
+    both = (groups >= 0) & (classes >= 0)
+    table = np.zeros((int(groups.max()) + 1, int(classes.max()) + 1))
+    np.add.at(table, (groups[both], classes[both]), 1)
+    return bool((table.max(axis=1) >= WITHIN * table.sum(axis=1)).all())
 
 
 def _too_alike(laws: Sequence[Law]) -> bool:

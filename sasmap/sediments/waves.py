@@ -20,12 +20,13 @@ from scipy.ndimage import map_coordinates, uniform_filter
 FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-# Pixels a side that are averaged first; averaged pixels a side of a window, and between windows.
-COARSE, WINDOW, STRIDE = 4, 128, 64
-LATTICE, MARGIN = COARSE * STRIDE, COARSE * WINDOW
+# Pixels a side that are averaged first; averaged pixels a side of windows, which overlap by half:
+# small ones find short ripples in small patches, large ones long and weak ones.
+COARSE, WINDOWS = 4, (64, 128)
+LATTICE, MARGIN = COARSE * WINDOWS[-1] // 2, COARSE * WINDOWS[-1]
 # Waves that are looked for, averaged pixels: shorter ones are averaged over by the blocks of
-# pixels that sediments are found by (16 pixels), of longer ones a window holds too few.
-SHORTEST, LONGEST = 5.0, 32.0
+# pixels that sediments are found by (16 pixels); and how many a window must hold.
+SHORTEST, FEWEST = 5.0, 4
 # Power of a wave over the median of its ring. Speckle's powers are exponential: its highest of 4000
 # is 12 medians, and one window in a million reaches 30; recorded and simulated ripples have 200 up.
 # An edge has no more at a wave number than at half of it, in the same direction.
@@ -74,13 +75,13 @@ def find_waves(amplitude: NDArray[np.floating]) -> Waves:
     profile = np.zeros(level.shape)
     weight = np.zeros(level.shape)
     rippled = np.zeros(level.shape)
-    taper = np.outer(np.hanning(WINDOW + 2)[1:-1], np.hanning(WINDOW + 2)[1:-1])
-    for part in _windows(level.shape):
-        wave = _wave(level[part], known[part])
+    for size, part in ((n, p) for n in WINDOWS for p in _windows(level.shape, n)):
+        wave = _wave(level[part], known[part], size)
         if wave is None:
             continue  # what holds few ripples tells nothing of those that others find in it
+        taper = np.hanning(size + 2)[1:-1]
         height, width = (s.stop - s.start for s in part)
-        hat = taper[:height, :width]
+        hat = np.outer(taper[:height], taper[:width])
         weight[part] += hat
         there, found = _profile(level[part], known[part], wave)
         profile[part] += hat * found
@@ -107,44 +108,42 @@ def _coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     return np.log(np.where(known, mean, 1.0)), known.astype(float)
 
 
-def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+def _windows(shape: tuple[int, ...], size: int) -> list[tuple[slice, slice]]:
     """Windows on the lattice; where an image is smaller than one, the image."""
-    firsts = [
-        sorted({*range(0, max(n - WINDOW, 0) + 1, STRIDE), max(n - WINDOW, 0)}) for n in shape
-    ]
+    firsts = [sorted({*range(0, max(n - size, 0) + 1, size // 2), max(n - size, 0)}) for n in shape]
     return [
-        (slice(r, min(r + WINDOW, shape[0])), slice(c, min(c + WINDOW, shape[1])))
+        (slice(r, min(r + size, shape[0])), slice(c, min(c + size, shape[1])))
         for r in firsts[0]
         for c in firsts[1]
     ]
 
 
-def _wave(level: FloatArray, known: FloatArray) -> tuple[float, float] | None:
+def _wave(level: FloatArray, known: FloatArray, size: int) -> tuple[float, float] | None:
     """Wave number (cycles per averaged pixel, down and across) of the ripples in a window."""
     if known.mean() < KNOWN or min(level.shape) < 3 * SHORTEST:
         return None
     hat = np.outer(*(np.hanning(n + 2)[1:-1] for n in level.shape)) * known
     flat = (level - (level * hat).sum() / hat.sum()) * hat
-    power = uniform_filter(np.abs(fft2(flat, (WINDOW, WINDOW))) ** 2, 3, mode="wrap")
+    power = uniform_filter(np.abs(fft2(flat, (size, size))) ** 2, 3, mode="wrap")
     over = np.zeros(power.size)
-    for ring in _rings():
+    for ring in _rings(size):
         values = power.ravel()[ring]
         over[ring] = values / max(float(np.median(values)), 1e-300)
     row, column = np.unravel_index(int(np.argmax(over)), power.shape)
-    k = np.fft.fftfreq(WINDOW)[[row, column]]
-    half = [np.arange(h - 1, h + 2) % WINDOW for h in np.rint(k * WINDOW / 2).astype(int)]
+    k = np.fft.fftfreq(size)[[row, column]]
+    half = [np.arange(h - 1, h + 2) % size for h in np.rint(k * size / 2).astype(int)]
     if over.max() < STANDS_OUT or power[row, column] < RISES * power[np.ix_(*half)].max():
         return None
     return float(k[0]), float(k[1])
 
 
 @cache
-def _rings() -> list[NDArray[np.int64]]:
+def _rings(window: int) -> list[NDArray[np.int64]]:
     """Places in the spectrum of the wave numbers that are looked at, by their size."""
-    k = np.fft.fftfreq(WINDOW)
+    k = np.fft.fftfreq(window)
     size = np.hypot(k[:, None], k).ravel()
-    used = (size >= 1 / LONGEST) & (size <= 1 / SHORTEST)
-    ring = np.where(used, np.rint(size * WINDOW), -1).astype(int)
+    used = (size >= FEWEST / window) & (size <= 1 / SHORTEST)
+    ring = np.where(used, np.rint(size * window), -1).astype(int)
     return [np.flatnonzero(ring == radius) for radius in np.unique(ring[used])]
 
 
@@ -159,7 +158,10 @@ class _Along:
     """
 
     def __init__(self, known: FloatArray, wave: tuple[float, float]) -> None:
-        self._known, self._shape = known, tuple(next_fast_len(n + WINDOW // 2) for n in known.shape)
+        self._known, self._shape = (
+            known,
+            tuple(next_fast_len(n + WINDOWS[-1] // 2) for n in known.shape),
+        )
         r, c = (np.fft.fftfreq(n) for n in self._shape)
         self._length = 1 / np.hypot(*wave)
         self._ahead = (r[:, None] * wave[0] + c * wave[1]) * self._length

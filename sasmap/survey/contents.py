@@ -1,6 +1,6 @@
-"""What a tile holds: fill that no nodata value tells, and numbers that are what they should be.
+"""What a tile holds: fill that is not declared as nodata, and whether its values can be amplitude.
 
-The tile is read once from end to end for its fill, and a sample of it for its numbers.
+The tile is read once from end to end for its fill, and a sample of it for its values.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sasmap.survey.lattice import FloatArray, Window
 from sasmap.survey.sidecars import unread
 from sasmap.survey.tiles import Tile, open_geotiff, read_numbers
 
-# Pixels a side of the windows that numbers are judged from, and windows a side of the tile.
+# Pixels a side of the windows from which values are judged, and windows a side of the tile.
 SIDE, WINDOWS = 128, 6
 # Largest error of compression, of the median, that is lost in speckle: it spreads evenly over twice
 # its size, which adds under 1 % to speckle's variance.
@@ -25,7 +25,7 @@ LARGEST_LOSS = 0.05
 
 
 def look_into(tile: Tile) -> tuple[Tile, list[str], list[str]]:
-    """Find a tile's fill and judge its numbers.
+    """Find a tile's fill and check its values.
 
     Parameters
     ----------
@@ -90,7 +90,18 @@ def _sample(tile: Tile) -> Iterator[FloatArray]:
 
 
 def sample_windows(whole: Window) -> Iterator[Window]:
-    """Windows spread over a tile; all of a small one."""
+    """Spread windows over a tile; they cover all of a small one.
+
+    Parameters
+    ----------
+    whole : Window
+        All of the tile's pixels.
+
+    Yields
+    ------
+    Window
+        Of at most SIDE by SIDE pixels.
+    """
     for row in _starts(whole.height):
         for column in _starts(whole.width):
             height, width = min(SIDE, whole.height - row), min(SIDE, whole.width - column)

@@ -24,12 +24,14 @@ FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
 COLUMNS = ("x", "y", "longitude", "latitude", "altitude")
-# Below this grazing angle nothing is seen: farther tiles belong to another track.
+# How far a track is extended beyond its first and last ping at most, m.
 MAX_REACH = 5.0
 # Length of a degree of latitude, m (a nautical mile of 1852 m is a minute).
 METRES_A_DEGREE = 60 * 1852.0
 # Port and starboard are told by the course over this length to either side, m.
 COURSE_LENGTH = 3.0
+# Below this grazing angle (a range of 115 altitudes) nothing is seen: farther tiles belong to
+# another track.
 MIN_GRAZING = np.radians(0.5)
 
 

@@ -194,7 +194,18 @@ def _is_product(survey: Survey, path: Path) -> bool:
 
 
 def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:
-    """Refuse an output folder in which a product would replace an input."""
+    """Refuse an output folder in which a product would replace an input.
+
+    Parameters
+    ----------
+    survey : Survey
+    inputs : iterable of Path
+
+    Raises
+    ------
+    InputError
+        Names the input.
+    """
     for path in sorted({*inputs, survey.path}):
         if _is_product(survey, path):
             raise InputError(f"{path}: a product of that name would replace this input; move one")

@@ -1,6 +1,7 @@
-"""Pings that cannot be: positions and altitudes that leave their neighbours, gaps, wrong order.
+"""Implausible pings: outliers of position and altitude, gaps, steps, rows out of order.
 
-A few are mended from their neighbours and said; more are refused. Rows are those of the file.
+A few are interpolated from their neighbours, with a warning; more are refused. Rows are counted as
+in the file.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Pings(NamedTuple):
 
 
 def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
-    """Mend what a few pings have wrong; refuse what cannot be mended.
+    """Interpolate the outliers and gaps of a few pings; refuse what cannot be mended.
 
     Parameters
     ----------
@@ -237,7 +238,7 @@ def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
     before, after = pings.altitude[at[0]], pings.altitude[at[0] + 1]
     warnings.append(
         f"{pings.path}: {_named(pings, at + 1)}: altitude goes from {before:.3g} m to {after:.3g} "
-        "m from one ping to the next: heights there are as wrong as it is; correct the file"
+        "m from one ping to the next: A_H is wrong by as much there; correct the file"
     )
 
 
@@ -270,7 +271,8 @@ def _check_jumps(pings: Pings, warnings: list[str]) -> None:
         return
     warnings.append(
         f"{pings.path}: {_named(pings, at + 1)}: position steps {aside[at[0] - HALF]:.1f} m across "
-        "the track and stays there: ranges before or after are wrong by as much; smooth the track"
+        "the track and stays there: ranges before or after it are wrong by as much; smooth the "
+        "track"
     )
 
 

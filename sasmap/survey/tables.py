@@ -1,7 +1,7 @@
-"""Tables of text as people and programs write them, read to columns of numbers.
+"""Text tables as people and programs write them, read to columns of numbers.
 
-pandas reads the cells; what it would mend without a word (surplus cells, two columns of one name)
-is refused here, by the row as a person sees it in the file: the first line is row 1.
+pandas reads the cells; what it would repair silently (surplus cells, two columns of one name) is
+refused here, with the row as a person sees it in the file: the first line is row 1.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import pandas as pd
 from sasmap.errors import InputError, check_file
 from sasmap.survey.lattice import FloatArray
 
+# Largest table that is read, bytes: about ten million pings.
 MAX_BYTES = 2**29
 # Marks between cells; a header without any of them is separated by spaces.
 MARKS = ",;\t|"

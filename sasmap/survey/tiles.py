@@ -47,7 +47,9 @@ GDAL_OPTIONS = {
 }
 # A tile without georeference is refused in a line of our own.
 warnings.filterwarnings("ignore", category=rasterio.errors.NotGeoreferencedWarning)
+# Largest block that is decoded, bytes: each worker holds one.
 MAX_BLOCK_BYTES = 2**29
+# Pixels' bytes over the file's that no honest file exceeds: deflate packs at most 1032 to 1.
 MAX_EXPANSION = 2000.0
 
 
@@ -279,7 +281,24 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
 
 
 def read_numbers(tile: Tile, window: Window) -> Amplitude:
-    """Read a window's numbers as stored, scale and offset applied; NaN where there is none."""
+    """Read a window's values before they are converted to amplitude.
+
+    Parameters
+    ----------
+    tile : Tile
+    window : Window
+        Pixels of the tile; must lie inside it.
+
+    Returns
+    -------
+    ndarray (height, width)
+        As stored, scale and offset applied; NaN for nodata, masked, fill and infinite values.
+
+    Raises
+    ------
+    OSError
+        Where a block cannot be decoded.
+    """
     area = rasterio.windows.Window(window.column, window.row, window.width, window.height)
     kind = np.dtype(tile.dtype)
     target = np.float64 if kind.itemsize > 4 or kind in (np.int32, np.uint32) else np.float32
@@ -369,15 +388,34 @@ def _copy_nearest(tile: Tile, lattice: Lattice, window: Window, mosaic: Amplitud
 
 
 def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+        Hexadecimal.
+    """
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def find_tiles(folder: Path, pattern: str) -> list[Path]:
-    """Return the files that a glob names, sorted; a relative one starts from the folder.
+    """Find the files that a glob pattern names.
 
-    A name without wildcards is returned as it is, so that its absence can be told.
+    Parameters
+    ----------
+    folder : Path
+        Where relative patterns start.
+    pattern : str
+
+    Returns
+    -------
+    list of Path
+        Sorted. A name without wildcards is returned as it is, so that a missing file is reported.
     """
     pattern = str(expanded(pattern))
     if not glob.has_magic(pattern) or (folder / pattern).is_file():

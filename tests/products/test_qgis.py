@@ -98,7 +98,7 @@ def test_every_layer_has_a_style_and_stands_in_the_project(sample):
     names = [node.get("id") for node in tree]
     assert names[-1] == "sasmap_mosaic_tif"  # below all others
     shown = [n.get("id") for n in tree if n.get("checked") == "Qt::Checked"]
-    assert len(shown) == 4
+    assert len(shown) == 5
     sediments = ET.parse(output / "sediment_class.qml").getroot()
     assert next(sediments.iter("rasterrenderer")).get("opacity") == "0.5"
 

@@ -35,3 +35,14 @@ def test_the_moments_of_a_product_of_correlated_gaussians():
     assert found.steepness[0] == pytest.approx(2 * (0.6 * 0.07 + c), abs=0.02 * sd)
     assert found.steepness[1] == pytest.approx(sd, rel=0.02)
     assert found.wavelength[1] == pytest.approx(0.02 / 0.36, rel=0.02)
+
+
+def test_a_steepness_knows_the_bounds_of_the_height():
+    """A log A_H that is hardly known, cut at the bounds: the steepness is 2 f A_H all the same."""
+    mean = np.array([[[np.log(0.6), np.log(0.03), 90.0]], [[np.log(1.2), np.log(0.3), 90.0]]])
+    covariance = np.tile(np.diag([1e-6, 4.0, 1.0]), (2, 1, 1, 1))
+    found = estimates(np.zeros((2, 1)), mean, covariance, RippleSettings())
+    for estimate, f in zip(found, (0.6, 1.2), strict=True):
+        heights = [getattr(estimate, name)[1] for name in ("mean", "sd", "q05", "q95")]
+        np.testing.assert_allclose(estimate.derived.steepness, 2 * f * np.array(heights), rtol=0.01)
+        assert estimate.derived.steepness[3] < 2 * f * 0.5

@@ -15,6 +15,7 @@ DONE = Summary(
     azimuth=90.0,
     coherence_length=float("inf"),
     derived=Derived((1.5, 0.1), (0.1, 0.2, 0.3, 0.4)),
+    reason="too few waves in the window",
 )
 
 
@@ -27,6 +28,7 @@ def test_results_come_back_to_the_bit(tmp_path):
     assert isinstance(again.quality, Quality)
     assert LeftOut.PHASE_FIELD in again.left_out
     assert isinstance(again.derived, Derived)
+    assert again.reason == DONE.reason
     assert np.isinf(again.coherence_length)
     json.loads(store.path("ab12").read_text(), parse_constant=pytest.fail)  # no NaN
 

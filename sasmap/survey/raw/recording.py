@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from sasmap.errors import InputError, check_file
 from sasmap.survey.lattice import FloatArray
 
+# Largest recording that is read, bytes: all of its pings are held in memory.
 MAX_BYTES = 2**34
 EXPECTED = "expected a side-scan recording in XTF"
 # XTF's numbers (Triton, XTF file format X41): units of positions, kinds of channel, what range is.
 DEGREES, PORT, STARBOARD, GROUND_RANGE = 3, 1, 2, 2
 WGS84 = "EPSG:4326"
+# Pings below which a track cannot be checked (as for navigation files).
 FEWEST_PINGS = 12
 # Share of the range within which the transmitted pulse stands.
 PULSE = 0.02
