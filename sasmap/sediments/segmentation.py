@@ -138,8 +138,10 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     labels, laws = _merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
     others = _laws(flat, textured, factor)
     # where amplitude suffices, it has the sharper boundaries
-    alike = len(others) > 1 and _too_alike(others) and _within(textured, labels)
-    needed = alike or (mixed and len(others) >= max(len(laws), 2))
+    nested = _within(textured, labels)
+    alike = len(others) > 1 and _too_alike(others) and nested
+    same = len(others) == len(laws) and nested and _within(labels, textured)
+    needed = alike or (mixed and not same and len(others) >= max(len(laws), 2))
     if needed:
         labels, laws = textured, others
     order = np.argsort([law.mean_square for law in laws], kind="stable")
