@@ -28,7 +28,7 @@ from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 FloatArray = NDArray[np.float64]
 
 # Pixels, of all looks, from which classes are found, and pixels a side of the blocks they are in.
-SAMPLE, SAMPLED_SIDE = 4_000_000, 256
+SAMPLE, SAMPLED_SIDE = 6_000_000, 256
 # Pixels a side of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.

@@ -43,7 +43,7 @@ APART = 0.02
 # Nats a pixel below which two textures have one histogram.
 ALIKE = 0.005
 # Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
-WITHIN = 0.8
+WITHIN = 0.7
 SAMPLES = 60_000
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
@@ -138,8 +138,10 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     labels, laws = _merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
     others = _laws(flat, textured, factor)
     # where amplitude suffices, it has the sharper boundaries
-    hidden = mixed or (_too_alike(others) and _within(textured, labels))
-    needed = hidden and len(others) >= max(len(laws), 2)
+    nested = _within(textured, labels)
+    alike = len(others) > 1 and _too_alike(others) and nested
+    same = len(others) == len(laws) and nested and _within(labels, textured)
+    needed = alike or (mixed and not same and len(others) >= max(len(laws), 2))
     if needed:
         labels, laws = textured, others
     order = np.argsort([law.mean_square for law in laws], kind="stable")
