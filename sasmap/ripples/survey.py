@@ -178,9 +178,12 @@ def learn(
     SurveyModel
     """
     rng = np.random.default_rng(seed)
+    rank = np.arange(swaths)
+    if looks is not None:
+        looks, rank = _in_order(looks, swaths)
     layout = _layout(looks, swaths, scatter)
     if layout.size == 0:
-        return SurveyModel((layout.shared(np.zeros(0)),), False)
+        return SurveyModel((layout.shared(np.zeros(0)),), False)  # offsets are all 0
     some = None if looks is None else _thinned(looks)
 
     def log_density(points: FloatArray) -> FloatArray:
@@ -210,7 +213,25 @@ def learn(
         key = log_contrast(points[:, :2], np.median(some.tangent))
     order = np.argsort(key, kind="stable")
     chosen = order[((np.arange(VALUES) + 0.5) * len(order) / VALUES).astype(int)]
-    return SurveyModel(tuple(layout.shared(points[i]) for i in chosen), layout.law)
+    values = [layout.shared(points[i]) for i in chosen]
+    values = [v._replace(offset=v.offset[rank]) for v in values]
+    return SurveyModel(tuple(values), layout.law)
+
+
+def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
+    """Number swaths by what they saw, not by their place in the survey file.
+
+    Returns the looks by cell and swath, and the new number of each swath.
+    """
+    seen = np.column_stack([looks.altitude, looks.tangent, looks.factor.push[:, 0, 1]])
+    means = np.zeros((swaths, 3))
+    for k in range(swaths):
+        here = looks.swath == k
+        means[k] = seen[here].mean(axis=0) if here.any() else np.inf
+    rank = np.empty(swaths, int)
+    rank[np.lexsort(means.T)] = np.arange(swaths)
+    numbered = looks._replace(swath=rank[looks.swath])
+    return numbered.some(np.lexsort([numbered.swath, numbered.cell])), rank
 
 
 def _layout(looks: Looks | None, swaths: int, scatter: FloatArray | None) -> _Layout:

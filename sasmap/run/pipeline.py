@@ -171,7 +171,7 @@ def _logged(path: Path) -> Iterator[Callable[[str], None]]:
     try:
         yield note
     except KeyboardInterrupt as stop:
-        note(f"ended: {stop or 'interrupted'}; run again to go on from here")
+        note(f"ended: {str(stop) or 'interrupted'}; run again to go on from here")
         raise
     except BaseException as error:
         note(f"ended: {fault_of(error) if isinstance(error, Exception) else error!r}")

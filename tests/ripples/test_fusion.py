@@ -53,7 +53,7 @@ def test_looks_count_by_their_precision():
 def test_steepness_is_that_of_f_and_height_together():
     final = fuse([look()], SETTINGS).final
     relative = np.hypot(1e-3 / 0.6, 2e-3 / 0.07)
-    mean, sd, q05, q95 = final.steepness
+    mean, sd, q05, q95 = final.derived.steepness
     assert mean == pytest.approx(2 * 0.6 * 0.07, rel=1e-3)
     assert sd / mean == pytest.approx(relative, rel=1e-3)
     assert np.log(q95 / q05) == pytest.approx(2 * 1.6449 * relative, rel=1e-3)
@@ -199,7 +199,9 @@ def test_a_second_pass_narrows_both():
     for i, truth in enumerate((0.62, 0.07)):
         assert chain.final.sd[i] < min(first.sd[i], second.sd[i])
         assert abs(chain.final.mean[i] - truth) < 4 * chain.final.sd[i]
-    assert fuse([second, first], settings).final.mean == pytest.approx(chain.final.mean, rel=1e-4)
+    other = fuse([second, first], settings).final
+    for i in range(2):  # what the survey shares is sampled anew
+        assert abs(other.mean[i] - chain.final.mean[i]) < 0.1 * chain.final.sd[i]
 
 
 @pytest.mark.parametrize(
