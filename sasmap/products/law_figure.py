@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from sasmap.products.figures import Picture, encoded
@@ -50,6 +51,7 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     axes.axvspan(*grazing, color="#000000", alpha=0.06, linewidth=0)
     axes.set_xscale("log")
     axes.set_xticks([2, 5, 10, 20, 40, 70], ["2", "5", "10", "20", "40", "70"])
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("local grazing angle (degrees)", fontsize=8)
     axes.set_ylabel("intensity (dB)", fontsize=8)
     axes.tick_params(labelsize=7)
