@@ -26,6 +26,7 @@ from sasmap.products.cell_values import (
 )
 from sasmap.ripples.detection import Unclear
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
+from sasmap.ripples.survey import SurveyModel
 
 # Of f, A_H and the azimuth.
 CONVERGENCE = {
@@ -72,6 +73,7 @@ def write_ripples_netcdf(
     crs: str,
     tags: Mapping[str, str],
     scratch: Path,
+    survey: SurveyModel | None = None,
 ) -> list[Path]:
     """Write everything per look and cell: prior, posterior, convergence, quality; and combined.
 
@@ -92,6 +94,8 @@ def write_ripples_netcdf(
     tags : mapping of str to str
         Global attributes.
     scratch : Path
+    survey : SurveyModel, optional
+        What the looks share.
 
     Returns
     -------
@@ -106,6 +110,7 @@ def write_ripples_netcdf(
     }
     for name in variables:
         variables[name][2]["grid_mapping"] = "spatial_ref"
+    variables |= _shared(survey)
     spatial = pyproj.CRS.from_wkt(crs).to_cf()
     spatial["GeoTransform"] = " ".join(repr(v) for v in transform.to_gdal())
     variables["spatial_ref"] = ((), np.int32(0), spatial)
@@ -139,6 +144,34 @@ def _global(tags: Mapping[str, str]) -> dict[str, str]:
         "comment": "Variables without the dimension pass are of all passes combined.",
         **tags,
     }
+
+
+def _shared(survey: SurveyModel | None) -> dict[str, Any]:
+    """Collect what the looks share: law (statistic), altitude offsets (statistic, pass)."""
+    if survey is None or not survey.values:
+        return {}
+
+    def summed(values: Any) -> NDArray[np.float64]:
+        drawn = np.array(values, float)
+        ends = np.quantile(drawn, (0.05, 0.95), axis=0)
+        return np.stack([drawn.mean(axis=0), drawn.std(axis=0), *ends])
+
+    offset = summed([v.offset for v in survey.values])
+    about = "true altitude less that of the navigation, by swath"
+    variables: dict[str, Any] = {
+        "altitude_offset": (("statistic", "pass"), offset, {"units": "m", "long_name": about})
+    }
+    if survey.learned:
+        names = ("exponent n", "concentration c")
+        for field, what in (("law", "mean over the survey"), ("spread", "sd from look to look")):
+            values = summed([getattr(v, field) for v in survey.values])
+            for i, name in enumerate(names):
+                about = (
+                    f"{name} of the scattering law sin(theta)^n exp(-c (theta - pi/2)^2), {what}"
+                )
+                key = f"{field}_{name.split()[0]}"
+                variables[key] = ("statistic", values[:, i], {"units": "1", "long_name": about})
+    return variables
 
 
 def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, int]) -> Any:

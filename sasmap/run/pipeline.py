@@ -284,7 +284,7 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     _attempt(
         outcome,
         path.name,
-        lambda: write_ripples_netcdf(path, *found, shape, *place, tags, scratch),
+        lambda: write_ripples_netcdf(path, *found, shape, *place, tags, scratch, outcome.survey),
     )
     _attempt(outcome, "ripple_extent.gpkg", lambda: [write_ripple_extent(plan, store, outcome)])
     if settings.keep_model:

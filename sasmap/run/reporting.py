@@ -14,6 +14,7 @@ from sasmap.catalogue import CATALOGUE, MANIFEST, REPORT
 from sasmap.products.cell_figures import class_figure, growth_figure
 from sasmap.products.cell_values import ADVICE, MEANINGS
 from sasmap.products.colours import QUALITY_COLOURS, hexadecimal
+from sasmap.products.law_figure import law_figure
 from sasmap.products.maps import codes_of, map_of, overview
 from sasmap.products.qgis.styles import Names
 from sasmap.products.ranges import has_content
@@ -28,6 +29,9 @@ from sasmap.run.store import Store, code_version
 from sasmap.run.wording import duration
 from sasmap.settings.yamlfile import dump_yaml
 
+# Standard deviations from which a migration is clear; registration of passes that is taken for
+# granted, m (differential GPS).
+SURE, REGISTERED = 3.0, 0.1
 # Maps of the report's section on ripples.
 RIPPLE_MAPS = (
     "ripple_wavelength.tif",
@@ -65,6 +69,8 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
         "quality": _quality(outcome),
         "ripple_words": ripple_words(outcome),
         "ripple_maps": list(_ripple_maps(store, written, names)),
+        "law": law_figure(outcome.survey, grazing_of(outcome)),
+        "migration": list(_migration(plan, outcome)),
         "growth": growth_figure(list(outcome.fused.values()), [s.label for s in plan.swaths]),
         "cells": list(cells_closely(plan, store, outcome)),
         "convergence": _convergence(outcome),
@@ -84,6 +90,32 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
         content |= _sediments(store, outcome, names)
     content["sections"] = _sections(content)
     return write_report(store.output / REPORT, content, store.scratch)
+
+
+def grazing_of(outcome: Outcome) -> tuple[float, float]:
+    """Least and largest grazing angle of the looks with ripples, degrees."""
+    looks = [s for every in outcome.cells.values() for s in every if s is not None and s.mixture]
+    angles = [float(np.degrees(np.arctan(s.tangent))) for s in looks]
+    return (min(angles), max(angles)) if angles else (5.0, 60.0)
+
+
+def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
+    """Tell how far crests moved between the first pass of a cell and each later one."""
+    for k, swath in enumerate(plan.swaths):
+        found = [
+            c.migration[k]
+            for c in outcome.fused.values()
+            if len(c.group) > 1 and k in c.group[1:] and np.isfinite(c.migration[k][0])
+        ]
+        if not found:
+            continue
+        moved, sd = np.array(found).T
+        clear = int((np.abs(moved) > SURE * np.hypot(sd, REGISTERED)).sum())
+        yield (
+            f"{swath.label}: crests lie {np.median(moved):+.3f} m from those of the first pass "
+            f"(median of {len(found)} cells; modulo a wavelength); {clear} of them clearly moved, "
+            f"if the passes are registered to {REGISTERED:g} m."
+        )
 
 
 def _sections(content: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from sasmap.products.law_figure import law_figure, level, told
+from sasmap.ripples.looks import Shared
+from sasmap.ripples.survey import SurveyModel
+
+
+def model(sd, learned=True):
+    rng = np.random.default_rng(1)
+    laws = np.array([2.0, 0.1]) + sd * rng.standard_normal((24, 2))
+    values = [Shared(law, np.full(2, 0.1), np.zeros(1), np.full(3, 0.01), 0.2) for law in laws]
+    return SurveyModel(tuple(values), learned)
+
+
+def test_lambert_is_twenty_times_the_log_of_the_sine():
+    degrees = np.array([5.0, 10.0, 40.0])
+    found = level(2.0, 0.0, degrees, 10.0)
+    sines = np.sin(np.radians(degrees))
+    np.testing.assert_allclose(found, 20 * np.log10(sines / sines[1]), atol=1e-9)
+
+
+def test_the_caption_says_whether_anything_fixed_the_law():
+    picture = law_figure(model(0.05), (6.0, 25.0))
+    assert picture.source.startswith("data:image/png;base64,")
+    assert "n 2.0" in picture.caption
+    assert "No shadow" not in picture.caption
+    assert "No shadow" in told(model(1.0))
+
+
+@pytest.mark.parametrize("survey", [None, model(0.1, learned=False)])
+def test_a_law_that_was_not_learned_is_not_drawn(survey):
+    assert law_figure(survey, (6.0, 25.0)) is None
