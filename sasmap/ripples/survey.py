@@ -219,7 +219,7 @@ def learn(
 
 
 def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
-    """Number swaths by what they saw, not by their place in the survey file.
+    """Sort swaths by what they saw, not by their place in the survey file.
 
     Returns the looks by cell and swath, and the new number of each swath.
     """
