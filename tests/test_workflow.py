@@ -1,5 +1,6 @@
 """Running where others run too: clusters, locks, folders of earlier runs, areas."""
 
+import html
 import json
 import os
 import re
@@ -162,7 +163,8 @@ def test_warnings_stand_on_the_terminal_in_the_record_and_on_top(tmp_path, capsy
     (warning,) = json.loads((tmp_path / "out" / "run.json").read_text())["warnings"]
     assert "a.tif" in warning
     report = (tmp_path / "out" / "report.html").read_text()
-    assert report.index("less contrast") < report.index('id="survey"')
+    assert warning[-60:] in html.unescape(report)
+    assert report.index('class="warnings"') < report.index('id="survey"')
 
 
 def test_area_and_exclude(tmp_path):
