@@ -21,7 +21,14 @@ import numpy as np
 from scipy import stats
 
 from sasmap.ripples import Clip, Prior, Quality, RippleSettings, estimate
-from sasmap.ripples.fit import ERROR_CELLS, LAW_ERROR, MODEL_ERROR, MODEL_SHIFT, THIRD_HARMONIC
+from sasmap.ripples.fit import (
+    ERROR_CELLS,
+    FOUND_TO,
+    LAW_ERROR,
+    MODEL_ERROR,
+    MODEL_SHIFT,
+    THIRD_HARMONIC,
+)
 from sasmap.ripples.optimise import COORDINATES, HEIGHT
 from sasmap.ripples.rendering import (
     LAW_KNOTS,
@@ -78,6 +85,7 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         altitude_middle=scene.altitude,
         altitude_sd=ALTITUDE_SD,
         expected_blur=0.5 * scene.pixel * along,
+        wave_sd=FOUND_TO / (scene.side * scene.pixel),
         follows_image=False,
         published=False,
         shadow=LINE_OF_SIGHT,

@@ -51,6 +51,9 @@ BoolArray = NDArray[np.bool_]
 
 # Expected standard deviation of a sonar's point spread, pixels.
 POINT_SPREAD = 0.5
+# Cycles over the clip to which detection tells a wave number, and by which shadow and lean may turn
+# the image's wave from the ripple's (half a radian at either end, docs/science.md).
+FOUND_TO = 0.5
 # Rounds in which the trend is told anew, knowing the pulse, and of Fisher scoring in each.
 TREND_ROUNDS, TREND_CLIMB = 2, 6
 # Errors of the model that the pixels of a group of range and one of so many parts of phase share:
@@ -168,6 +171,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         range_middle=middle[0],
         altitude_middle=middle[1],
         altitude_sd=task.altitude_sd,
+        wave_sd=FOUND_TO / max(float(np.ptp(data.place)), image.pixel_size),
         expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
         follows_image=not phase.rigid,
         published=published,

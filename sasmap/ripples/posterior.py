@@ -142,8 +142,6 @@ class Posterior:
     model : ndarray (rows, columns) or None
         Posterior mean of the amplitude, in the clip's units, where asked for; NaN where no
         geometry is known or no ripple is.
-    relief : ndarray (rows, columns) or None
-        With `model`: the same over the amplitude of flat sea floor.
     reason : str
         Why the clip cannot tell, in words; empty where it can.
     rippled : ndarray (rows, columns) or None
@@ -164,7 +162,6 @@ class Posterior:
     probability: float = float("nan")
     shape: Shape | None = None
     model: FloatArray | None = None
-    relief: FloatArray | None = None
     reason: str = ""
     rippled: FloatArray | None = None
     reference: tuple[float, ...] = ()

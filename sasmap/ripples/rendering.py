@@ -139,6 +139,8 @@ class Geometry(NamedTuple):
         make of it.
     expected_blur : float
         Cycles.
+    wave_sd : float
+        Standard deviation of the wave number along the look about the histogram's, cycles/m.
     follows_image : bool
         Whether the histogram's phase is that of the image's fundamental (a phase field), not the
         ripple's.
@@ -167,6 +169,7 @@ class Geometry(NamedTuple):
     altitude_middle: float
     altitude_sd: float
     expected_blur: float
+    wave_sd: float
     follows_image: bool
     published: bool
     shadow: int
@@ -267,6 +270,8 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
     if geometry.follows_image:  # the field has taken up phase and wave number
         value -= 0.5 * (z[1] / 0.1) ** 2
         value -= 0.5 * (z[0] * geometry.range_middle / 0.1) ** 2
+    else:
+        value -= 0.5 * (z[0] / geometry.wave_sd) ** 2
     return value
 
 

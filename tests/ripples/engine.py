@@ -38,6 +38,7 @@ def geometry(along, ground_range, altitude, **changes):
         altitude_middle=altitude,
         altitude_sd=0.02,
         expected_blur=0.02,
+        wave_sd=0.05,
         follows_image=False,
         published=False,
         shadow=LINE_OF_SIGHT,
