@@ -55,6 +55,8 @@ LOGARITHMIC = -0.6
 # skewness above 1.2; more at less skewness is a black level that was subtracted, unless they lie
 # together: in shadows most neighbours of a dark pixel are dark, in speckle few.
 DARK_SHARE, DARK_SKEWNESS, TOGETHER = 0.05, 1.2, 0.5
+# Share of pixels at the lowest value where a black level was cut off; noise in shadow has hardly any.
+CLIPPED = 0.02
 # Skewness of the blocks with least contrast below which numbers may be decibels of the usual scale:
 # those have -0.95, what was equalised -0.35, saturated or compressed more.
 DECIBELS = -0.45
@@ -102,6 +104,8 @@ class Speckle:
     dark, together : float
         Share of pixels under a tenth of their block's median, and of the neighbours of such pixels
         that are so as well, along rows or columns.
+    floor : float
+        Share of pixels at the very lowest value.
     mean : float
         Median of the blocks' means.
     """
@@ -112,6 +116,7 @@ class Speckle:
     least_skewness: float
     dark: float
     together: float
+    floor: float
     mean: float
 
     @property
@@ -184,7 +189,7 @@ def speckle_of(sample: Sample, least: float = 0.0) -> Speckle:
     kept = (spread > 1e-6 * np.abs(mean)) & (mean >= least) & (mean != 0)
     blocks, mean, spread = blocks[kept], mean[kept], spread[kept]
     if not blocks.size:
-        return Speckle(0, *[np.nan] * 6)
+        return Speckle(0, *[np.nan] * 7)
     contrast = spread / np.abs(mean)
     skewness = (((blocks - mean[:, None]) / spread[:, None]) ** 3).mean(axis=1)
     plain = contrast <= np.median(contrast)
@@ -196,6 +201,7 @@ def speckle_of(sample: Sample, least: float = 0.0) -> Speckle:
         float(np.median(skewness[plain])),
         float(dark.mean()),
         _together(dark.reshape(-1, BLOCK, BLOCK)),
+        float((blocks == blocks.min()).mean()),
         float(np.median(mean)),
     )
 
@@ -325,6 +331,8 @@ def _unlike_decibels(raw: Speckle) -> Verdict | None:
 
 def _black_level(raw: Speckle) -> Verdict | None:
     if raw.dark <= DARK_SHARE or raw.least_skewness >= DARK_SKEWNESS or raw.together > TOGETHER:
+        return None
+    if raw.floor < CLIPPED:
         return None
     return Verdict(
         f"{raw.dark:.0%} of its pixels are nearly black, where speckle has 1 %: a black level was "
