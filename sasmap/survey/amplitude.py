@@ -55,7 +55,7 @@ LOGARITHMIC = -0.6
 # skewness above 1.2; more at less skewness is a black level that was subtracted, unless they lie
 # together: in shadows most neighbours of a dark pixel are dark, in speckle few.
 DARK_SHARE, DARK_SKEWNESS, TOGETHER = 0.05, 1.2, 0.5
-# Share of pixels at the lowest value where a black level was cut off; noise in shadow has hardly any.
+# Share of pixels at the lowest value where a black level was cut off; noise in shadow has few.
 CLIPPED = 0.02
 # Skewness of the blocks with least contrast below which numbers may be decibels of the usual scale:
 # those have -0.95, what was equalised -0.35, saturated or compressed more.
