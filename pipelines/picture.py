@@ -1,64 +1,41 @@
-"""The README's picture: the sample survey and what sasmap makes of it.
+"""The README's picture: the page that QGIS prints of the sample survey.
 
-python pipelines/picture.py --products sample_data/out [--picture docs/sample.png]
+    python3 pipelines/picture.py [--project sample_data/out/survey.qgs] [--picture docs/sample.png]
+
+Needs a Python that has QGIS (on Debian and Ubuntu the system's, with python3-qgis).
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
-import matplotlib as mpl
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-import numpy as np
-import pyogrio
-import rasterio
-import shapely
+from qgis.core import QgsApplication, QgsLayoutExporter, QgsProject
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> None:
-    """Draw a pass, ripples and sediments side by side."""
+    """Print layout "Map" of a project to an image."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--products", type=Path, default=ROOT / "sample_data" / "out")
-    parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "sample.png")
+    parser.add_argument("--project", type=Path, default=ROOT / "sample_data/out/survey.qgs")
+    parser.add_argument("--picture", type=Path, default=ROOT / "docs/sample.png")
     options = parser.parse_args()
-    figure, axes = plt.subplots(1, 3, figsize=(15, 3.9), layout="constrained")
-    with rasterio.open(ROOT / "sample_data" / "far" / "far_r0_c0.tif") as source:
-        amplitude, box = source.read(1), source.bounds
-    extent = (0, box.right - box.left, 0, box.top - box.bottom)
-    axes[0].imshow(amplitude, cmap="gray", vmax=np.quantile(amplitude, 0.99), extent=extent)
-    axes[0].set_title("one of two passes: amplitude")
-    with rasterio.open(options.products / "ripple_height.tif") as source:
-        height = source.read()
-    with rasterio.open(options.products / "ripple_frequency.tif") as source:
-        frequency = source.read()
-    axes[1].imshow(frequency[0], cmap="viridis", extent=extent)
-    rows, columns = frequency.shape[1:]
-    for (row, column), f in np.ndenumerate(frequency[0]):
-        x, y = (column + 0.5) * extent[1] / columns, (rows - row - 0.5) * extent[3] / rows
-        text = "no ripples"
-        if np.isfinite(f):
-            text = f"f {f:.4f} ± {frequency[1, row, column]:.4f}\nA_H {height[0, row, column]:.4f} "
-            text += f"± {height[1, row, column]:.4f} m"
-        label = {"fc": "white", "ec": "none", "alpha": 0.85}
-        axes[1].text(x, y, text, ha="center", va="center", fontsize=7, bbox=label)
-    axes[1].set_title("ripples: f (cycles/m) and height, cell by cell")
-    with rasterio.open(options.products / "sediment_class.tif") as source:
-        label_map, colours = source.read(1), source.colormap(1)
-    palette = np.array([colours[k] for k in range(256)], float) / 255
-    axes[2].imshow(palette[label_map], extent=extent)
-    _, _, shapes, _ = pyogrio.raw.read(options.products / "sediment_boundaries.gpkg")
-    for shape in shapely.from_wkb(shapes):
-        x, y = shape.xy
-        axes[2].plot(np.array(x) - box.left, np.array(y) - box.bottom, color="k", lw=1.2)
-    axes[2].set_title("sediments and refined boundaries (white: shadow)")
-    for ax in axes:
-        ax.set(xlim=extent[:2], ylim=extent[2:], xlabel="m", aspect="equal")
-    figure.savefig(options.picture, dpi=80)
+    application = QgsApplication([], False)
+    application.initQgis()
+    project = QgsProject.instance()
+    if not project.read(str(options.project)):
+        raise SystemExit(f"{options.project}: cannot be read")
+    layout = project.layoutManager().layoutByName("Map")
+    settings = QgsLayoutExporter.ImageExportSettings()
+    settings.dpi = 100
+    options.picture.unlink(missing_ok=True)
+    status = QgsLayoutExporter(layout).exportToImage(str(options.picture), settings)
+    if status != QgsLayoutExporter.Success:
+        raise SystemExit(f"{options.picture}: cannot be written")
 
 
 if __name__ == "__main__":

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +17,8 @@ from sasmap.run.wording import duration
 from sasmap.settings.survey import load_survey, survey_schema
 from sasmap.version import VERSION
 
+# Cells whose pace tells the time left.
+LATEST = 32
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -38,8 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for fault in error.faults:
             print(f"sasmap: {_readable(fault)}", file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        print("sasmap: interrupted; run again to go on from here", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"sasmap: {stop or 'interrupted'}; run again to go on from here", file=sys.stderr)
         return INTERRUPTED
     except OSError as error:
         print(f"sasmap: {error}", file=sys.stderr)
@@ -73,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Tell what would run, and what is left out. Example: sasmap plan survey.yaml",
     )
     plan.add_argument("survey", type=Path, help="survey file")
+    plan.add_argument("--output", type=Path, metavar="DIR", help="folder of the products")
     plan.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
     plan.set_defaults(call=_plan)
 
@@ -97,8 +102,21 @@ def _parser() -> argparse.ArgumentParser:
     tiles.add_argument("--pixel", type=_metres, metavar="M", help="pixel size, m")
     tiles.set_defaults(call=_tiles)
 
-    schema = verbs.add_parser("schema", help="print the JSON Schema of survey.yaml")
+    schema = verbs.add_parser(
+        "schema",
+        help="print the JSON Schema of survey.yaml",
+        description="Print the JSON Schema of survey.yaml, for editors. Example: sasmap schema",
+    )
     schema.set_defaults(call=_schema)
+
+    completion = verbs.add_parser(
+        "completion",
+        help="print a script that completes commands in a shell",
+        description="Print a script that completes commands. Example: sasmap completion bash >> "
+        "~/.bashrc",
+    )
+    completion.add_argument("shell", choices=("bash", "zsh", "fish"), help="the shell")
+    completion.set_defaults(call=_completion)
     return parser
 
 
@@ -123,8 +141,8 @@ def _metres(text: str) -> float:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from sasmap.run.answers import summary_lines
     from sasmap.run.pipeline import run_survey  # the compiled code loads only where it is needed
-    from sasmap.run.reporting import summary_lines
 
     _log(options.quiet)
     survey = load_survey(options.survey)
@@ -166,10 +184,14 @@ def _readable(line: str) -> str:
 def _plan(options: argparse.Namespace) -> int:
     from sasmap.run.cost import check_fits, describe_cost
     from sasmap.run.plan import describe, make_plan
+    from sasmap.run.suggestion import describe_window
 
     _log(quiet=False)
-    plan = make_plan(load_survey(options.survey))
-    for line in (*describe(plan), *describe_cost(plan, options.workers)):
+    survey = load_survey(options.survey)
+    if options.output is not None:
+        survey = survey.model_copy(update={"output": str(options.output.absolute())})
+    plan = make_plan(survey)
+    for line in (*describe(plan), *describe_window(plan), *describe_cost(plan, options.workers)):
         print(line)
     check_fits(plan, options.workers)
     _repeat(plan.opened.warnings)
@@ -208,16 +230,31 @@ def _log(quiet: bool) -> None:
     logger.setLevel(logging.INFO)
 
 
+def _completion(options: argparse.Namespace) -> int:
+    from sasmap.completion import script
+
+    print(script(_parser(), options.shell), end="")
+    return COMPLETE
+
+
 class _Progress:
-    """A bar on a terminal, a line every tenth elsewhere: cells done, rate, time left."""
+    """A bar on a terminal, a line every tenth elsewhere: cells done, rate, time left.
+
+    Times are of the last cells alone: the first wait for compilation, and those that an earlier run
+    finished take none.
+    """
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty()
-        self._tenth = 0
-        self._start = time.monotonic()
+        self._stage, self._tenth = "", 0
+        self._times: deque[float] = deque(maxlen=LATEST)
 
-    def __call__(self, done: int, total: int) -> None:
-        text = f"{done} of {total} cells done{self._pace(done, total)}"
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if stage != self._stage:
+            self._stage, self._tenth = stage, 0
+            self._times.clear()
+        self._times.append(time.monotonic())
+        text = f"{stage}: {done} of {total} cells done{self._pace(done, total)}"
         if self._terminal:
             filled = 30 * done // total
             bar = "#" * filled + "." * (30 - filled)
@@ -228,15 +265,20 @@ class _Progress:
             print(text, file=sys.stderr, flush=True)
 
     def _pace(self, done: int, total: int) -> str:
-        seconds = time.monotonic() - self._start
-        if seconds < 1:
+        seconds = self._times[-1] - self._times[0]
+        if len(self._times) < 2 or seconds <= 0 or done == total:
             return ""
-        left = duration((total - done) * seconds / done)
-        return f", {done / seconds:.2g} a second" + (f", {left} left" if done < total else "")
+        rate = (len(self._times) - 1) / seconds
+        return f", {rate:.3g} a second, {duration((total - done) / rate)} left"
+
+
+def _terminated(*_: object) -> None:
+    raise KeyboardInterrupt("terminated")
 
 
 def console() -> None:
     """Run as a command; an interrupt does not wait for cells in work, which are not kept."""
+    signal.signal(signal.SIGTERM, _terminated)  # of a batch system: ends as an interrupt does
     status = main()
     if status == INTERRUPTED:
         sys.stdout.flush()

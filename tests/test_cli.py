@@ -1,8 +1,10 @@
 import json
+import subprocess
 
 import pytest
 
-from sasmap.cli import main
+import sasmap
+from sasmap.cli import _Progress, main
 from tests.helpers import small_survey
 
 
@@ -28,6 +30,65 @@ def test_plan_and_schema(tmp_path, capsys):
     assert "left out" not in said
     assert main(["schema"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "Survey"
+
+
+def test_plan_of_another_output_counts_what_is_finished_there(tmp_path, capsys):
+    path = small_survey(tmp_path)
+    assert main(["run", str(path), "--quiet", "--output", str(tmp_path / "maps")]) == 0
+    assert main(["plan", str(path), "--output", str(tmp_path / "maps")]) == 0
+    assert "finished by an earlier run: 6 of 6" in capsys.readouterr().out
+    assert main(["plan", str(path)]) == 0
+    assert "finished" not in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
+def test_plan_tells_the_time_of_looks_that_it_tried(tmp_path, monkeypatch):
+    from sasmap.run import cost
+    from sasmap.run.plan import make_plan
+
+    plan = make_plan(sasmap.load_survey(small_survey(tmp_path, sediments=None)))
+    clock = iter(range(0, 1000, 7))
+    tried = []
+    monkeypatch.setattr(cost, "compiled", lambda: True)
+    monkeypatch.setattr(cost.time, "perf_counter", lambda: float(next(clock)))
+    monkeypatch.setattr(cost, "try_look", lambda plan, cell, k: tried.append((cell, k)))
+    low, high = cost.seconds_of(plan, workers=2)
+    assert tried
+    assert low == high == pytest.approx(cost.FIXED + 6 * 7.0 / 2, abs=0.1)  # looks x seconds
+    monkeypatch.setattr(cost, "compiled", lambda: False)
+    low, high = cost.seconds_of(plan, workers=1)
+    assert low < high
+
+
+def test_progress_of_both_stages_tells_the_pace_of_the_last_cells(tmp_path, capsys, monkeypatch):
+    path = small_survey(tmp_path, sediments={})
+    assert main(["run", str(path), "--workers", "1"]) == 0
+    said = capsys.readouterr().err
+    assert "ripples: 6 of 6 cells done" in said
+    assert "sediments: 6 of 6 cells done" in said
+    progress = _Progress()
+    # two minutes of compilation, then a cell each two seconds
+    for done, now in ((1, 120.0), (2, 122.0), (3, 124.0), (4, 126.0)):
+        monkeypatch.setattr("sasmap.cli.time.monotonic", lambda now=now: now)
+        progress("ripples", done, 10)
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "ripples: 4 of 10 cells done, 0.5 a second, 12 s left"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_every_verb_and_option(shell, capsys, tmp_path):
+    assert main(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    for word in ("run", "plan", "simulate", "tiles", "schema", "completion"):
+        assert word in text
+    assert "scheduler" in text
+    if shell == "bash":
+        script = tmp_path / "complete.sh"
+        script.write_text(
+            text + "COMP_WORDS=(sasmap run --res); COMP_CWORD=2; _sasmap\necho ${COMPREPLY[@]}\n"
+        )
+        found = subprocess.run(["bash", script], capture_output=True, text=True, check=True)
+        assert found.stdout.strip() == "--restart"
 
 
 def test_bad_input_is_one_line_status_2_and_touches_nothing(tmp_path, capsys):
@@ -69,7 +130,7 @@ def test_bad_usage_is_status_2(arguments, capsys):
 
 
 def test_help_of_each_verb_has_an_example(capsys):
-    for verb in ("run", "plan", "simulate"):
+    for verb in ("run", "plan", "simulate", "tiles", "schema", "completion"):
         with pytest.raises(SystemExit):
             main([verb, "--help"])
         assert "Example: sasmap" in " ".join(capsys.readouterr().out.split())

@@ -1,11 +1,11 @@
-"""GeoPackages of boundaries and areas, written byte for byte the same for the same lines."""
+"""GeoPackages, written byte for byte the same for the same features."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyogrio
@@ -16,7 +16,7 @@ from sasmap.io.files import written_whole
 
 FloatArray = NDArray[np.float64]
 
-# The date that GDAL would write is fixed, so that bytes are a function of the lines alone.
+# The date that GDAL would write is fixed, so that bytes are a function of the features alone.
 DATE = "2000-01-01T00:00:00.000Z"
 
 
@@ -81,12 +81,13 @@ def write_boundaries(path: Path, features: Sequence[Feature], crs: str, scratch:
     OSError
         Where the file cannot be written.
     """
-    columns: dict[str, NDArray[Any]] = {
-        k: np.array([getattr(f, k) for f in features], object) for k in ("left", "right")
-    }
-    columns["position_sd"] = np.array([f.position_sd for f in features], np.float64)
     lines = [shapely.LineString(f.points) for f in features]
-    _write(path, ("boundaries", "LineString"), lines, columns, crs, scratch)
+    columns = {
+        "left": np.array([f.left for f in features], object),
+        "right": np.array([f.right for f in features], object),
+        "position_sd": np.array([f.position_sd for f in features], np.float64),
+    }
+    write_layer(path, "boundaries", "LineString", lines, columns, crs, scratch)
 
 
 def write_areas(path: Path, areas: Sequence[Area], crs: str, scratch: Path) -> None:
@@ -117,30 +118,51 @@ def write_areas(path: Path, areas: Sequence[Area], crs: str, scratch: Path) -> N
         a.shape if a.shape.geom_type == "MultiPolygon" else shapely.MultiPolygon([a.shape])
         for a in areas
     ]
-    _write(path, ("areas", "MultiPolygon"), shapes, columns, crs, scratch)
+    write_layer(path, "areas", "MultiPolygon", shapes, columns, crs, scratch)
 
 
-def _write(
+def write_layer(
     path: Path,
-    layer: tuple[str, str],
+    layer: str,
+    kind: Literal["LineString", "Polygon", "MultiPolygon"],
     shapes: Sequence[Any],
-    columns: dict[str, NDArray[Any]],
+    columns: Mapping[str, NDArray[Any]],
     crs: str,
     scratch: Path,
 ) -> None:
-    """Write a layer (its name and kind of geometry)."""
+    """Write a GeoPackage of one layer, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    layer : str
+        Its name.
+    kind : str
+        Type of all its geometries.
+    shapes : sequence of shapely geometry
+    columns : mapping of str to ndarray (n,)
+        Attributes: integers, floats (NaN becomes null), or objects of text.
+    crs : str
+        WKT.
+    scratch : Path
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written.
+    """
     with written_whole(path, scratch) as part:
         draft = part.with_suffix(".gpkg")  # GDAL warns of other names
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": DATE})
         try:
             pyogrio.raw.write(
                 draft,
-                np.asarray(shapely.to_wkb(list(shapes)), object),
+                np.asarray(shapely.to_wkb(np.asarray(shapes, object)), object),
                 list(columns.values()),
                 list(columns),
                 driver="GPKG",
-                layer=layer[0],
-                geometry_type=layer[1],
+                layer=layer,
+                geometry_type=kind,
                 crs=crs,
                 dataset_options={"VERSION": "1.2"},  # which all readers know
             )

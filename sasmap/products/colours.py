@@ -7,11 +7,11 @@ the azimuth's cyclic.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 
+from sasmap.catalogue import Ramp
 from sasmap.ripples.posterior import Quality
 
 Colour = tuple[int, int, int]
@@ -38,35 +38,6 @@ QUALITY_COLOURS: dict[Quality, Colour] = {
 # Of more classes than there are colours the next ones are darker by this.
 SHADE = 0.7
 STOPS = 9
-
-
-class Ramp(NamedTuple):
-    """How a continuous raster is drawn.
-
-    Attributes
-    ----------
-    name : str
-        Of matplotlib's colour map.
-    title, unit : str
-    limits : tuple of float or None
-        Values of the first and last colour; None for those of the data.
-    """
-
-    name: str
-    title: str
-    unit: str
-    limits: tuple[float, float] | None = None
-
-
-RAMPS = {
-    "ripple_frequency.tif": Ramp("viridis", "Ripple frequency f", "cycles/m"),
-    "ripple_height.tif": Ramp("magma", "Ripple height A_H", "m"),
-    "ripple_azimuth.tif": Ramp("twilight", "Azimuth of the crest normal", "degrees", (0.0, 180.0)),
-    "ripple_probability.tif": Ramp("cividis", "Probability of ripples", "", (0.0, 1.0)),
-    "sediment_confidence.tif": Ramp("cividis", "Probability of the class", "", (0.0, 1.0)),
-    "modelled_amplitude.tif": Ramp("gray", "Modelled amplitude", ""),
-}
-PASSES = Ramp("viridis", "Passes used", "")
 
 
 def class_colour(k: int) -> Colour:
@@ -102,3 +73,9 @@ def _whole(colour: Sequence[float]) -> Colour:
 def hexadecimal(colour: Colour) -> str:
     """Write a colour as #rrggbb."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def colour_at(ramp: Ramp, low: float, high: float, value: float) -> Colour:
+    """Colour of one value along a ramp from low to high; those beyond take its ends'."""
+    place = (value - low) / (high - low) if high > low else 0.5
+    return _whole(mpl.colormaps[ramp.name](float(np.clip(place, 0, 1)))[:3])

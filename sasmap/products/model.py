@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Mosaic:
+class ModelledAmplitude:
     """Modelled amplitudes of all cells as one array; rows are read cell by cell.
 
     Parameters

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Any
 
 import pyproj
 
-from sasmap.io.files import write_text
+from sasmap.catalogue import BY_FILE, Product
+from sasmap.io.jsonfile import write_json
 
 MEDIA = {
     ".tif": "image/tiff; application=geotiff; profile=cloud-optimized",
@@ -18,6 +18,8 @@ MEDIA = {
     ".nc": "application/netcdf",
     ".json": "application/json",
     ".html": "text/html",
+    ".csv": "text/csv",
+    ".qgs": "application/x-qgis-project",
 }
 
 
@@ -28,6 +30,7 @@ def write_stac(
     box: tuple[float, float, float, float],
     crs: str,
     products: Sequence[str],
+    recorded: tuple[datetime, datetime] | None,
     scratch: Path,
 ) -> Path:
     """Write a STAC item.
@@ -44,6 +47,8 @@ def write_stac(
         WKT.
     products : sequence of str
         File names beside it.
+    recorded : tuple of datetime or None
+        First and last date of the passes.
     scratch : Path
 
     Returns
@@ -58,28 +63,47 @@ def write_stac(
     item: dict[str, Any] = {
         "type": "Feature",
         "stac_version": "1.0.0",
-        "stac_extensions": ["https://stac-extensions.github.io/projection/v1.1.0/schema.json"],
+        "stac_extensions": ["https://stac-extensions.github.io/projection/v2.0.0/schema.json"],
         "id": identity,
         "geometry": {"type": "Polygon", "coordinates": [ring]},
         "bbox": [west, south, east, north],
         "properties": {
-            # a survey file knows no date: this is when the run was made
-            "datetime": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            **_times(recorded),
             "title": title,
-            "proj:epsg": int(authority[1]) if authority and authority[0] == "EPSG" else None,
+            "proj:code": ":".join(authority) if authority else None,
             "proj:wkt2": known.to_wkt(),
             "proj:bbox": list(box),
         },
         "links": [],
         "assets": {
-            Path(name).stem: {
-                "href": f"./{name}",
-                "type": MEDIA[Path(name).suffix],
-                "roles": ["data"],
-            }
+            name: _asset(BY_FILE[name])
             for name in products
-            if Path(name).suffix in MEDIA and name != path.name
+            if name in BY_FILE and Path(name).suffix in MEDIA and name != path.name
         },
     }
-    write_text(path, json.dumps(item, indent=2) + "\n", scratch)
+    write_json(path, item, scratch)
     return path
+
+
+def _times(recorded: tuple[datetime, datetime] | None) -> dict[str, Any]:
+    """Date of the passes, or their first and last; the time of the run where they give none."""
+    if recorded is None:
+        return {"datetime": _time(datetime.now(UTC))}
+    first, last = (_time(d) for d in recorded)
+    if first == last:
+        return {"datetime": first}
+    return {"datetime": None, "start_datetime": first, "end_datetime": last}
+
+
+def _time(value: datetime) -> str:
+    return value.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def _asset(product: Product) -> dict[str, Any]:
+    return {
+        "href": f"./{product.file}",
+        "type": MEDIA[Path(product.file).suffix],
+        "title": product.title,
+        "description": product.sentence,
+        "roles": ["metadata" if product.stage == "run" and not product.layer else "data"],
+    }

@@ -7,9 +7,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.detection import Spectrum, Wave, find_waves, spectrum, too_long
+from sasmap.ripples.detection import MIN_ALONG, Wave, find_waves
+from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
-from sasmap.ripples.image import Image, as_image
+from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
 from sasmap.ripples.optimise import COORDINATES, free_coordinates, sampled_coordinates
 from sasmap.ripples.posterior import (
@@ -25,7 +26,7 @@ from sasmap.ripples.priors import Prior
 from sasmap.ripples.published import sample_published
 from sasmap.ripples.rendering import heights_at, log_posteriors, parameters_at
 from sasmap.ripples.sampler import (
-    fit_proposal,
+    adapted,
     metropolis_hastings,
     mixture_of_peaks,
     population,
@@ -35,10 +36,8 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Draws a chain of the rounds after which convergence is judged, the first of which is burn-in;
-# share of accepted proposals under which these are learned anew from it, and share of its draws
-# that are independent.
-ROUND, LEARNED, INDEPENDENT = 300, 0.35, 0.2
+# Draws a chain of the first round after which convergence is judged.
+ROUND = 300
 # Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
 # (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
@@ -51,12 +50,12 @@ NEGLIGIBLE = 15.0
 LAG_DRAWS = 60
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
-# Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
-MIN_ALONG = 0.07
+# Cosine of the angle between crests from which those of another system run; log of the ratio of
+# wavelengths from which those of one direction are two; cosine above which a whole ratio is an
+# overtone.
+ANOTHER, LONGER, OVERTONE = 0.87, 0.4, 0.95
 # Share of the strongest wave's energy from which its half or double is tried as well.
 RIVAL = 0.25
-# Power over the spectrum around it that a wave seen along its crests must have to be remarked.
-STRIKING = 200.0
 
 
 def estimate(
@@ -127,56 +126,91 @@ def _default(
     clip: Clip, settings: RippleSettings, prior: Prior, rng: np.random.Generator
 ) -> Posterior:
     image = as_image(clip)
-    found = spectrum(image)
-    if found is None:
-        return Posterior(Quality.NO_RIPPLES, prior, left_out=LeftOut.SAMPLING, probability=0.0)
-    waves = find_waves(image, found, settings.frequency)
-    if waves is None:
-        return Posterior(Quality.NOT_IDENTIFIABLE, prior, left_out=LeftOut.SAMPLING)
-    chosen, probability = _candidates(image, waves)
+    found = find_waves(image, settings.frequency)
+    chosen = _candidates(found.waves)
     if not chosen:
-        quality = _why_not(image, found, waves, settings)
-        return Posterior(quality, prior, left_out=LeftOut.SAMPLING, probability=probability)
+        quality = Quality.NO_RIPPLES if found.unclear is None else Quality.NOT_IDENTIFIABLE
+        return Posterior(
+            quality,
+            prior,
+            left_out=LeftOut.SAMPLING,
+            probability=found.probability,
+            reason=found.reason,
+        )
     task = Task(image, settings, prior, clip.altitude_sd)
     fit = max((fit_wave(task, wave.vector) for wave in chosen), key=lambda f: f.explained)
     points, acceptance, done = _sampled(fit, settings, rng)
     draws = _labelled(points, fit, image, rng)
     image_of = modelled(clip, image, fit, points) if settings.keep_model else None
+    extent = ripple_extent(image, fit.phase.wave)
+    other = second_system(found.waves, fit.phase.wave)
     return Posterior(
         _judged(draws, done, image),
         prior,
         draws,
         acceptance,
         _left_out(fit),
-        probability,
+        found.probability,
         Shape(
             fit.phase.coherence_length,
-            fit.phase.rippled_fraction,
+            extent.fraction,
             fit.phase.stiffness,
             fit.noise_factor,
+            extent.defect_density,
+            fit.geometry.altitude_middle / fit.geometry.range_middle,
+            fit.geometry.altitude_middle,
+            fit.geometry.altitude_sd,
+            (float(image.centre[0]), float(image.centre[1])),
         ),
         None if image_of is None else image_of.amplitude,
         None if image_of is None else image_of.relief,
+        rippled=on_clip(clip, image, extent.probability),
+        reference=(*(float(v) for v in fit.phase.wave), extent.own),
+        second=xr.Dataset() if other is None else _draws_of(task, other, rng),
     )
 
 
-def _candidates(image: Image, waves: list[Wave]) -> tuple[list[Wave], float]:
-    """Waves to fit, and the probability that there is a ripple.
+def _draws_of(task: Task, wave: Wave, rng: np.random.Generator) -> xr.Dataset:
+    """Estimate a wave of a clip whose first system is estimated already."""
+    fit = fit_wave(task, wave.vector)
+    points, _, _ = _sampled(fit, task.settings, rng)
+    return _labelled(points, fit, task.image, rng)
 
-    The strongest of those that pass, and those half or twice as long that come near it.
-    """
-    visible = [w for w in waves if _along_look(image, w) > MIN_ALONG]
-    probability = max((w.probability for w in visible), default=0.0)
-    passed = [w for w in visible if w.probability > PRESENT]
+
+def _candidates(waves: list[Wave]) -> list[Wave]:
+    """Waves to fit: the strongest of those that pass, and one half or twice as long near it."""
+    passed = [w for w in waves if w.probability > PRESENT]
     if not passed:
-        return [], probability
+        return []
     first = max(passed, key=lambda w: w.energy)
     others = [w for w in passed if w.energy > RIVAL * first.energy and _harmonic(w, first)]
-    return [first, *others[:1]], probability
+    return [first, *others[:1]]
 
 
-def _along_look(image: Image, wave: Wave) -> float:
-    return float(abs(wave.vector @ image.look) / np.hypot(*wave.vector))
+def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
+    """Return the likeliest wave of another system than the first, if there is one.
+
+    Parameters
+    ----------
+    waves : list of Wave
+        The likeliest first.
+    first : ndarray (2,)
+        Wave vector (east, north) of the first system, cycles/m.
+
+    Returns
+    -------
+    Wave or None
+        Of the whole clip (waves of its parts are the first one's that bends), in another direction,
+        and in the same one at another wavelength that is no harmonic.
+    """
+    for wave in waves:
+        ratio = float(np.hypot(*wave.vector) / np.hypot(*first))
+        cosine = float(abs(wave.vector @ first) / (np.hypot(*wave.vector) * np.hypot(*first)))
+        overtone = cosine > OVERTONE and abs(ratio - round(ratio)) < 0.1 * ratio
+        other = cosine < ANOTHER or (abs(np.log(ratio)) > LONGER and not overtone)
+        if wave.whole and wave.probability > PRESENT and other:
+            return wave
+    return None
 
 
 def _harmonic(wave: Wave, first: Wave) -> bool:
@@ -184,14 +218,6 @@ def _harmonic(wave: Wave, first: Wave) -> bool:
     ratio = np.hypot(*wave.vector) / np.hypot(*first.vector)
     cosine = abs(wave.vector @ first.vector) / (np.hypot(*wave.vector) * np.hypot(*first.vector))
     return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
-
-
-def _why_not(image: Image, found: Spectrum, waves: list[Wave], settings: RippleSettings) -> Quality:
-    """Quality of a clip without a wave that could be estimated."""
-    hidden = [w for w in waves if w.probability > 0.99 and w.power > STRIKING]
-    if hidden or too_long(image, found, settings.frequency):
-        return Quality.NOT_IDENTIFIABLE
-    return Quality.NO_RIPPLES
 
 
 def _sampled(
@@ -218,11 +244,7 @@ def _sampled(
     proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks])
     particles, proposal = population(log_density, proposal, rng)
     states = particles[rng.permutation(len(particles))[: settings.chains]]
-    first = metropolis_hastings(log_density, proposal, particles, states, ROUND, rng)
-    if first.accepted < LEARNED:  # it was burn-in: the proposal is learned anew from it
-        seen = first.draws[:, ROUND // 4 :].reshape(-1, sampled.size)
-        particles = seen[rng.permutation(len(seen))]
-        proposal = fit_proposal(particles, len(particles) * INDEPENDENT)
+    proposal, particles, states = adapted(log_density, proposal, particles, states, rng)
 
     def told(draws: FloatArray) -> bool:
         points = whole(draws)
@@ -230,7 +252,7 @@ def _sampled(
         return converged(points[..., 0]) and converged(heights.reshape(points.shape[:2]))
 
     rounds: list[FloatArray] = []
-    states, accepted, kept, done = first.draws[:, -1], 0.0, 0, False
+    accepted, kept, done = 0.0, 0, False
     while kept < settings.draws and not done:
         steps = min(max(ROUND, kept // 2), settings.draws - kept)
         chains = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
@@ -253,13 +275,18 @@ def _labelled(points: FloatArray, fit: Fit, image: Image, rng: np.random.Generat
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
     along = fit.geometry.along + named.pop("wave_offset")
+    cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
     if not fit.phase.rigid:
-        along = along + sd[0] * rng.standard_normal(shape) + _lag_slopes(points, fit)
+        slope, lag = _lags(points, fit)
+        along = along + sd[0] * rng.standard_normal(shape) + slope
+        cycles = cycles + lag
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
-    azimuth -= 180.0 * np.floor(azimuth.mean() / 180.0)
+    turns = np.floor(azimuth.mean() / 180.0)
+    # the same crests, counted along the opposite direction
+    named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     named["height"] = named["height"] * np.exp(_height_error(fit) * rng.standard_normal(shape))
-    named["phase"] %= 2 * np.pi
-    return dataset({"frequency": np.hypot(along, across), "azimuth": azimuth, **named})
+    frequency = np.hypot(along, across)
+    return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
 
 
 def _height_error(fit: Fit) -> float:
@@ -272,20 +299,23 @@ def _height_error(fit: Fit) -> float:
     return float(np.hypot(error, MISFIT * max(np.log(fit.noise_factor / SPECKLE), 0.0)))
 
 
-def _lag_slopes(points: FloatArray, fit: Fit) -> FloatArray:
-    """Tell what shadow and lean make of the slope of the image's phase, cycles/m, for each draw.
+def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Tell what shadow and lean make of the image's phase, for each draw.
 
-    Learned from some draws: it is nearly linear in the sampling coordinates.
+    Its slope over range, cycles/m, and its mean, cycles. Learned from some draws: both are nearly
+    linear in the sampling coordinates.
     """
     every = points.reshape(-1, COORDINATES)
     some = every[:: max(len(every) // LAG_DRAWS, 1)]
     pixels = fit.data.pixel_count.sum(axis=1)
     place = fit.data.place - np.average(fit.data.place, weights=pixels)
     weight = pixels * place / max(float((pixels * place**2).sum()), 1e-12)
-    slopes = [weight @ np.unwrap(pulses_at(fit, z)[1]) / (2 * np.pi) for z in some]
+    lags = np.array([np.unwrap(pulses_at(fit, z)[1]) for z in some]) / (2 * np.pi)
+    told = np.stack([lags @ weight, lags @ pixels / pixels.sum()], axis=1)
     design = np.column_stack([some, np.ones(len(some))])
-    line = np.linalg.lstsq(design, np.array(slopes), rcond=None)[0]
-    return np.asarray((every @ line[:-1] + line[-1]).reshape(points.shape[:2]))
+    line = np.linalg.lstsq(design, told, rcond=None)[0]
+    slope, mean = (every @ line[:-1] + line[-1]).T.reshape(2, *points.shape[:2])
+    return slope, mean
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:

@@ -60,7 +60,7 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.15, 0.5, 16
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
-LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.12, 0.12, 0.15, 0.15, 0.3, 0.8), 0.015, 2
+LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.15, 0.2, 0.25, 0.3, 0.8), 0.03, 2
 # Error of the pulse's second harmonic where crests bend.
 FIELD_HARMONIC = 0.03
 # Steepest slope of a peaked profile over a sine's of the same height.

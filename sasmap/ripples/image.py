@@ -43,6 +43,8 @@ class Image:
         Mean look, degrees clockwise from grid north.
     rms : float
         Root of what `power` was divided by, in units of the amplitude.
+    centre : ndarray (2,)
+        Map position (east, north) of the lattice's centre, m.
     jitter : float
         How far pixels lie from the lattice, pixels (standard deviation).
     """
@@ -55,6 +57,7 @@ class Image:
     steps: FloatArray
     azimuth: float
     rms: float
+    centre: FloatArray
     jitter: float = 0.0
 
     @property
@@ -150,7 +153,8 @@ def as_image(clip: Clip) -> Image:
     bend = _bend(clip, valid, steps, first) / clip.pixel_size
     if bend <= MAX_BEND and abs(np.linalg.det(steps)) > 0:
         places = clip.ground_range, clip.altitude, steps
-        return Image(wide, valid, saturated, *places, azimuth, mean, 0.5 * bend)
+        centre = first + steps @ (np.array(wide.shape[::-1]) - 1) / 2
+        return Image(wide, valid, saturated, *places, azimuth, mean, centre, 0.5 * bend)
     return _summed(clip, wide, valid, saturated, azimuth, mean)
 
 
@@ -206,8 +210,7 @@ def _summed(
     """Average pixels onto a north-up lattice."""
     size = clip.pixel_size
     x, y = clip.x[valid], clip.y[valid]
-    column = np.rint((x - x.min()) / size).astype(np.int64)
-    row = np.rint((y.max() - y) / size).astype(np.int64)
+    row, column = _places(x, y, size)
     shape = (int(row.max()) + 1, int(column.max()) + 1)
     index = row * shape[1] + column
     count = np.bincount(index, minlength=shape[0] * shape[1])
@@ -226,5 +229,41 @@ def _summed(
         np.array([[size, 0.0], [0.0, -size]]),
         azimuth,
         mean,
+        np.array([x.min() + 0.5 * size * (shape[1] - 1), y.max() - 0.5 * size * (shape[0] - 1)]),
         ROUNDED,
     )
+
+
+def on_clip(clip: Clip, image: Image, values: FloatArray) -> FloatArray:
+    """Take values of an image's pixels to those of the clip that it is of.
+
+    Parameters
+    ----------
+    clip : Clip
+    image : Image
+        The clip's.
+    values : ndarray (rows, columns)
+        On the image's lattice.
+
+    Returns
+    -------
+    ndarray (rows, columns)
+        On the clip's; NaN where the clip is not valid.
+    """
+    valid = clip.valid
+    if image.shape == clip.amplitude.shape:
+        return np.where(valid, values, np.nan)
+    result = np.full(valid.shape, np.nan)
+    x, y = clip.x[valid], clip.y[valid]
+    row, column = _places(x, y, clip.pixel_size)
+    result[valid] = values[row, column]
+    return result
+
+
+def _places(
+    x: FloatArray, y: FloatArray, size: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of a north-up lattice around map positions."""
+    column = np.rint((x - x.min()) / size).astype(np.int64)
+    row = np.rint((y.max() - y) / size).astype(np.int64)
+    return row, column

@@ -1,14 +1,12 @@
-"""Gaussian mixtures of (f, A_H, azimuth): what a pass knows, in numbers that can be multiplied."""
+"""Gaussian mixtures of what a look knows: their fit to draws, and marginals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import logsumexp, ndtr
+from scipy.special import ndtr
 
 from sasmap.numerics.gaussians import Mixture, expectation_maximisation, log_densities
 
@@ -19,11 +17,11 @@ MOST = 3
 EFFECTIVE = 400.0
 # Rounds of a fit, the gain in mean log likelihood at which it ends, and the least variance of
 # components, over that of all draws.
-ROUNDS, ENOUGH, FLOOR = 80, 1e-6, np.full(3, 1e-4)
-# Of a product, components of less than this share are left out; no more than so many are kept.
-NEGLIGIBLE, MOST_KEPT = 1e-7, 64
-# Components of less than this weight do not speak for a pass.
-SLIGHT = 0.02
+ROUNDS, ENOUGH, FLOOR = 80, 1e-6, 1e-4
+# Standard deviations within which quantiles are looked for, and halvings.
+REACH, BISECTIONS = 12.0, 50
+# Largest log of a moment: of components that have no weight.
+LARGEST = 200.0
 # A density with less of itself within its bounds lies outside.
 OUTSIDE = 1e-200
 
@@ -33,7 +31,7 @@ def fit_mixture(points: FloatArray) -> Mixture:
 
     Parameters
     ----------
-    points : ndarray (n, 3)
+    points : ndarray (n, size)
 
     Returns
     -------
@@ -57,7 +55,7 @@ def fit_mixture(points: FloatArray) -> Mixture:
 
 
 def _moments(z: FloatArray) -> Mixture:
-    covariance = np.cov(z.T) + np.diag(FLOOR)
+    covariance = np.cov(z.T) + np.diag(np.full(z.shape[1], FLOOR))
     return Mixture(np.ones(1), z.mean(axis=0)[None], covariance[None])
 
 
@@ -70,138 +68,71 @@ def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
-    mixture, _, level = expectation_maximisation(z, share.astype(float), FLOOR, ROUNDS, ENOUGH)
+    floor = np.full(z.shape[1], FLOOR)
+    mixture, _, level = expectation_maximisation(z, share.astype(float), floor, ROUNDS, ENOUGH)
     return mixture, level
 
 
-def widened(mixture: Mixture, sd: FloatArray) -> Mixture:
-    """Add an independent scatter (standard deviations, (3,)) to every component."""
-    return mixture._replace(covariance=mixture.covariance + np.diag(sd**2))
-
-
-def product(first: Mixture, second: Mixture) -> Mixture:
-    """Multiply two densities.
-
-    Parameters
-    ----------
-    first, second : Mixture
-
-    Returns
-    -------
-    Mixture
-        Normalised.
-    """
-    logs, means, covariances = [], [], []
-    for w1, m1, c1 in zip(*first, strict=True):
-        for w2, m2, c2 in zip(*second, strict=True):
-            gain = np.linalg.solve(c1 + c2, c1).T
-            logs.append(np.log(w1) + np.log(w2) + _log_overlap(m1 - m2, c1 + c2))
-            means.append(m1 + gain @ (m2 - m1))
-            covariance = c1 - gain @ c1
-            covariances.append(0.5 * (covariance + covariance.T))
-    level = np.array(logs)
-    weight = np.exp(level - logsumexp(level))
-    kept = np.argsort(-weight, kind="stable")[:MOST_KEPT]
-    kept = kept[weight[kept] > NEGLIGIBLE]
-    share = weight[kept] / weight[kept].sum()
-    return Mixture(share, np.array(means)[kept], np.array(covariances)[kept])
-
-
-def _log_overlap(offset: FloatArray, covariance: FloatArray) -> float:
-    sign, log_determinant = np.linalg.slogdet(covariance)
-    square = distance_squared(offset, covariance)
-    return float(-0.5 * (square + log_determinant) if sign > 0 else -np.inf)
-
-
-def distance_squared(offset: FloatArray, covariance: FloatArray) -> float:
-    """Squared Mahalanobis distance."""
-    return float(offset @ np.linalg.solve(covariance, offset))
-
-
-def disagreement(first: Mixture, second: Mixture) -> float:
-    """Squared Mahalanobis distance of two densities' means, of the components nearest each other.
-
-    Parameters
-    ----------
-    first, second : Mixture
-
-    Returns
-    -------
-    float
-        Of the chi-squared law with 3 degrees of freedom where both speak of the same value.
-    """
-    return min(
-        distance_squared(m1 - m2, c1 + c2)
-        for w1, m1, c1 in zip(*first, strict=True)
-        for w2, m2, c2 in zip(*second, strict=True)
-        if w1 > SLIGHT and w2 > SLIGHT
-    )
-
-
 class Marginal(NamedTuple):
-    """Mean, standard deviation and quantiles 0.05 and 0.95 of one parameter."""
+    """Mean, standard deviation and quantiles 0.05 and 0.95 of one parameter, arrays (n,)."""
 
-    mean: float
-    sd: float
-    q05: float
-    q95: float
+    mean: FloatArray
+    sd: FloatArray
+    q05: FloatArray
+    q95: FloatArray
 
 
-def marginal(mixture: Mixture, i: int, bounds: tuple[float, float]) -> Marginal:
-    """Summarise one parameter of a mixture, truncated to bounds.
+def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: FloatArray) -> Marginal:
+    """Summarise parameters whose logs are Gaussian mixtures, truncated to bounds.
 
     Parameters
     ----------
-    mixture : Mixture
-    i : int
-    bounds : tuple of float
+    weight, mean, sd : ndarray (n, K)
+        Of the logs.
+    bounds : ndarray (2,) or (2, n)
+        Of the log.
 
     Returns
     -------
     Marginal
+        Of the parameters, not of their logs.
     """
-    mean, sd = mixture.mean[:, i], np.sqrt(mixture.covariance[:, i, i])
-    low, high = ((bound - mean) / sd for bound in bounds)
+    low, high = ((np.reshape(b, (-1, 1)) - mean) / sd for b in bounds)
     mass = ndtr(high) - ndtr(low)
-    if not mixture.weight @ mass > OUTSIDE:
-        return _at_bound(mean, sd, bounds)
-    mass = np.maximum(mass, 1e-300)
-    density = [np.exp(-0.5 * np.minimum(z**2, 1400)) / np.sqrt(2 * np.pi) for z in (low, high)]
-    shift = (density[0] - density[1]) / mass
-    edge = [np.where(np.isfinite(z), z, 0) * d for z, d in zip((low, high), density, strict=True)]
-    part_mean = np.clip(mean + sd * shift, *bounds)
-    part_variance = sd**2 * np.clip(1 + (edge[0] - edge[1]) / mass - shift**2, 1e-12, 1)
-    weight = mixture.weight * mass
-    weight = weight / weight.sum()
-    centre = float(weight @ part_mean)
-    variance = float(weight @ (part_variance + (part_mean - centre) ** 2))
-
-    def below(x: float, share: float) -> float:
-        return float(weight @ (np.clip(ndtr((x - mean) / sd) - ndtr(low), 0, mass) / mass)) - share
-
-    reach = 12 * float(np.sqrt(variance)) + 1e-300
-    ends = max(bounds[0], centre - reach), min(bounds[1], centre + reach)
-    q05, q95 = (_root(below, ends, share) for share in (0.05, 0.95))
-    return Marginal(centre, float(np.sqrt(variance)), q05, q95)
+    total = (weight * mass).sum(axis=1)
+    inside = total > OUTSIDE
+    total = np.where(inside, total, 1.0)
+    ends = np.clip((weight * mean).sum(axis=1), *bounds)  # all of it lies beyond a bound
+    apart = mean - ends[:, None]
+    one, two = (
+        (weight * np.exp(np.minimum(k * apart + 0.5 * (k * sd) ** 2, LARGEST)) * part).sum(axis=1)
+        / total
+        for k, part in ((k, ndtr(high - k * sd) - ndtr(low - k * sd)) for k in (1, 2))
+    )
+    centre = np.where(inside, one, 1.0) * np.exp(ends)
+    spread = np.sqrt(np.where(inside, np.maximum(two - one**2, 0.0), 0.0)) * np.exp(ends)
+    quantile = [
+        np.where(inside, np.exp(_quantile(weight, mean, sd, low, total, share)), np.exp(ends))
+        for share in (0.05, 0.95)
+    ]
+    return Marginal(centre, spread, *quantile)
 
 
-def _at_bound(mean: FloatArray, sd: FloatArray, bounds: tuple[float, float]) -> Marginal:
-    """Summarise what a Gaussian far outside leaves inside: an exponential decline from a bound."""
-    beyond = np.maximum(bounds[0] - mean, mean - bounds[1])
-    k = int(np.argmin(beyond / sd))
-    scale = min(float(sd[k] ** 2 / beyond[k]), bounds[1] - bounds[0])
-    places = [scale * -np.log1p(-share) for share in (0.05, 0.95)]
-    if mean[k] < bounds[0]:
-        q05, q95 = (bounds[0] + place for place in places)
-        return Marginal(bounds[0] + scale, scale, q05, min(q95, bounds[1]))
-    q95, q05 = (bounds[1] - place for place in places)
-    return Marginal(bounds[1] - scale, scale, max(q05, bounds[0]), q95)
-
-
-def _root(
-    function: Callable[[float, float], float], ends: tuple[float, float], share: float
-) -> float:
-    low, high = (function(end, share) for end in ends)
-    if low >= 0 or high <= 0:  # all of it lies at one end
-        return ends[0] if low >= 0 else ends[1]
-    return float(brentq(function, *ends, args=(share,), xtol=1e-14, rtol=1e-12))
+def _quantile(
+    weight: FloatArray,
+    mean: FloatArray,
+    sd: FloatArray,
+    low: FloatArray,
+    total: FloatArray,
+    share: float,
+) -> FloatArray:
+    """Quantile of truncated Gaussian mixtures (n,), by bisection."""
+    heavy = weight > 0
+    left = np.where(heavy, mean - REACH * sd, np.inf).min(axis=1)
+    right = np.where(heavy, mean + REACH * sd, -np.inf).max(axis=1)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (left + right)
+        part = np.maximum(ndtr((middle[:, None] - mean) / sd) - ndtr(low), 0.0)
+        below = (weight * part).sum(axis=1) < share * total
+        left, right = np.where(below, middle, left), np.where(below, right, middle)
+    return np.asarray(0.5 * (left + right))

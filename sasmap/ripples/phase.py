@@ -137,6 +137,14 @@ class PhaseField:
         """Cycles of the plane wave a column, a row and at the clip's centre (3,)."""
         return np.append(image.per_pixel(self.wave), self.origin)
 
+    @property
+    def middle(self) -> float:
+        """Mean phase at the clip's centre, cycles, of the wave's image."""
+        if self.rigid:
+            return self.origin
+        total = self.both[self.covered].sum()
+        return self.origin + float(np.angle(total) / (2 * np.pi))
+
     def spread_cover(self) -> BoolArray:
         """Rippled boxes and the holes among them."""
         return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])

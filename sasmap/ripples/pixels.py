@@ -208,3 +208,28 @@ def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type
             there = pulses[after, low] + share * (pulses[after, high] - pulses[after, low])
             image[i, j] = here + part * (there - here)
     return image
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def profile_boxes(values, valid, per_column, per_row, parts, width):  # type: ignore[no-untyped-def]
+    """Sum an image over boxes a wavelength over `parts` long and `width` pixels wide.
+
+    Returns sums and pixels, (parts of wavelengths, boxes across).
+    """
+    rows, columns = values.shape
+    norm = np.hypot(per_column, per_row)
+    half = 0.5 * (abs(per_column) * (columns - 1) + abs(per_row) * (rows - 1))
+    side = 0.5 * (abs(per_row) * (columns - 1) + abs(per_column) * (rows - 1)) / norm
+    shape = (int(2.0 * half * parts) + 1, int(2.0 * side / width) + 1)
+    total = np.zeros(shape)
+    count = np.zeros(shape)
+    for i in range(rows):
+        row = i - 0.5 * (rows - 1)
+        for j in range(columns):
+            if valid[i, j]:
+                column = j - 0.5 * (columns - 1)
+                a = int((per_column * column + per_row * row + half) * parts)
+                b = int(((per_column * row - per_row * column) / norm + side) / width)
+                total[a, b] += values[i, j]
+                count[a, b] += 1.0
+    return total, count

@@ -80,12 +80,23 @@ class Shape:
         Smoothing of the phase field, m; infinite where crests are straight.
     noise_factor : float
         Variance of the speckle over that of independent pixels.
+    defect_density : float
+        Places a square metre where crests split or end.
+    tangent, altitude, altitude_sd : float
+        Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
+    centre : tuple of float
+        Map position (east, north) of the clip's centre, m, at which `phase` is told.
     """
 
     coherence_length: float
     rippled_fraction: float
     stiffness: float
     noise_factor: float
+    defect_density: float
+    tangent: float = 1.0
+    altitude: float = 1.0
+    altitude_sd: float = 0.0
+    centre: tuple[float, float] = (float("nan"), float("nan"))
 
 
 def axial(degrees: FloatArray) -> tuple[float, float]:
@@ -133,6 +144,16 @@ class Posterior:
         geometry is known or no ripple is.
     relief : ndarray (rows, columns) or None
         With `model`: the same over the amplitude of flat sea floor.
+    reason : str
+        Why the clip cannot tell, in words; empty where it can.
+    rippled : ndarray (rows, columns) or None
+        Probability that a pixel lies on rippled floor, NaN where the clip shows nothing; None
+        without draws.
+    second : Dataset (chain, draw)
+        As `draws`, of a second system of ripples; empty where the evidence asks for none.
+    reference : tuple of float
+        What `rippled` was told by: wave vector (east, north), cycles/m, and
+        :attr:`sasmap.ripples.extent.Extent.own`. Empty without draws.
     """
 
     quality: Quality
@@ -144,6 +165,10 @@ class Posterior:
     shape: Shape | None = None
     model: FloatArray | None = None
     relief: FloatArray | None = None
+    reason: str = ""
+    rippled: FloatArray | None = None
+    reference: tuple[float, ...] = ()
+    second: xr.Dataset = field(default_factory=xr.Dataset)
 
     @property
     def sampled(self) -> bool:
@@ -187,14 +212,22 @@ class Posterior:
         ValueError
             Where nothing was sampled.
         """
-        import arviz  # optional
-
         if not self.sampled:
             raise ValueError("nothing was sampled")
         values = {str(name): self.draws[name].values for name in self.draws}
-        if hasattr(arviz, "InferenceData"):
-            return arviz.from_dict(posterior=values)
-        return arviz.from_dict({"posterior": values})
+        try:
+            from arviz_base import from_dict  # what ArviZ is made of since 1.0
+
+            return from_dict({"posterior": values})
+        except ImportError:
+            pass
+        try:
+            import arviz
+        except ImportError:
+            raise ImportError(
+                "ArviZ is not installed: pip install arviz (or pip install 'sasmap[studies]')"
+            ) from None
+        return arviz.from_dict(posterior=values)
 
     @property
     def _judged(self) -> dict[str, FloatArray]:

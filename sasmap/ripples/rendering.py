@@ -36,7 +36,7 @@ NODES = 512
 # Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and the
 # largest that are tried: 0 is a sine, 0.25 in phase with the crest the peaked profile
 # 2((1 + sin)/2)^2 - 1, and beyond 0.4 a second crest grows in the trough.
-PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.1), 0.4
+PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.15), 0.4
 # Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
 # c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
 # (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
@@ -302,27 +302,32 @@ def fill_lit(elevation, part_of_range, lit):  # type: ignore[no-untyped-def]
     """
     n = elevation.size
     lit[:] = 0.0
-    horizon, apart = elevation[0], 0
+    first = 0
+    for i in range(1, n):
+        first = i if elevation[i] > elevation[first] else first
+    first = first - 1 if first > 0 else n - 1  # the facet before the crest, which none hides
+    horizon, apart = elevation[first], 0
     before, rise = 0.0, 0.0
-    for k in range(1, 2 * n + 1):
-        i = k if k < n else (k - n if k < 2 * n else 0)
-        last = i - 1 if i > 0 else n - 1
+    last = first
+    for k in range(1, n + 2):
+        i = last + 1 if last + 1 < n else 0
         apart += 1
         margin = elevation[i] * (1.0 - apart * part_of_range) - horizon
         if margin > 0.0:
             share = margin / (margin - before)
-            if n <= k < 2 * n:
+            if k <= n:
                 lit[i] = min(1.0, 0.5 + share)
-            if k > n and apart == 2:  # shadow sets in, or is about to end, between two facets
+            if k > 1 and apart == 2:  # shadow sets in, or is about to end, between two facets
                 lit[last] = share
-            elif k > n and 0.5 < share < 1.0:
+            elif k > 1 and 0.5 < share < 1.0:
                 lit[last] += share - 0.5
             horizon, apart, before, rise = elevation[i], 0, 0.0, margin
-            continue
-        if k > n and apart == 1 and rise > 0.0:
-            # the highest point lies within half a facet of the horizon
-            lit[last] *= 0.5 + 0.5 * (rise + margin) / (rise - margin)
-        before = margin
+        else:
+            if k > 1 and apart == 1 and rise > 0.0:
+                # the highest point lies within half a facet of the horizon
+                lit[last] *= 0.5 + 0.5 * (rise + margin) / (rise - margin)
+            before = margin
+        last = i
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -410,21 +415,33 @@ def fill_rendered(  # type: ignore[no-untyped-def]
         for i in range(n):
             elevation[i] = heights[i] - tangent * ground_range
         fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
+    else:
+        lit[:] = 1.0
+    bins = pulse.size
+    per_range = 1.0 / ground_range
+    bend = 0.5 * (1.0 + tangent * tangent) * per_range
     for i in range(n):
+        if lit[i] <= 0.0:
+            continue
         h = heights[i]
         # the ray's own grazing angle is less by h / range
-        grazing = (sine + (slopes[i] - h / ground_range) * cosine) / areas[i]
-        # of a facet that the ray grazes a part may be lit where its middle is turned away
-        if (shadow and lit[i] <= 0.0) or (grazing <= 0.0 and not shadow):
-            continue
-        x = min(max(grazing, 0.0), 1.0) * (NODES - 1)
+        grazing = (sine + (slopes[i] - h * per_range) * cosine) / areas[i]
+        if grazing <= 0.0:
+            # of a facet that the ray grazes a part may be lit where its middle is turned away
+            if not shadow:
+                continue
+            grazing = 0.0
+        x = min(grazing, 1.0) * (NODES - 1)
         low = min(int(x), NODES - 2)
-        power = areas[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
-        if shadow:
-            power *= lit[i]
+        power = areas[i] * lit[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
         # the range r whose r' = sqrt(r^2 + (A - h)^2 - A^2) this is, to second order
-        lean = h * tangent - h * h * (1.0 + tangent * tangent) / (2.0 * ground_range)
-        deposit(pulse, (i + 0.5) / n - lean * wave, power)
+        lean = h * (tangent - h * bend)
+        x = ((i + 0.5) / n - lean * wave + 8.0) * bins - 0.5
+        low = int(x)
+        share = x - low
+        low %= bins
+        pulse[low] += power * (1.0 - share)
+        pulse[low + 1 if low + 1 < bins else 0] += power * share
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -478,8 +495,11 @@ def fill_blur(width, kernel):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
-    """Blur a pulse along phase and scale it to a mean of 1; return where its fundamental peaks."""
+def fill_blurred(pulse, kernel, reach, waves, blurred):  # type: ignore[no-untyped-def]
+    """Blur a pulse along phase and scale it to a mean of 1; return where its fundamental peaks.
+
+    `waves` are cosine and sine of the bins' phases (2, bins).
+    """
     bins = pulse.size
     mean = 0.0
     for i in range(bins):
@@ -492,9 +512,8 @@ def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
             high = i + k if i + k < bins else i + k - bins
             value += kernel[k] * (pulse[high] + pulse[i - k])
         blurred[i] = value * scale
-        angle = 2.0 * np.pi * (i + 0.5) / bins
-        cosine += blurred[i] * np.cos(angle)
-        sine += blurred[i] * np.sin(angle)
+        cosine += blurred[i] * waves[0, i]
+        sine += blurred[i] * waves[1, i]
     return np.arctan2(sine, cosine)
 
 
@@ -510,6 +529,10 @@ def fill_pulses(ripple, data, geometry, pulses, lags, levels):  # type: ignore[n
     law, pulse, kernel = np.empty(NODES), np.empty(bins), np.empty(bins)
     wave = geometry.along + ripple.wave_offset
     reach = fill_blur(ripple.blur * bins, kernel)
+    waves = np.empty((2, bins))
+    for i in range(bins):
+        angle = 2.0 * np.pi * (i + 0.5) / bins
+        waves[0, i], waves[1, i] = np.cos(angle), np.sin(angle)
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
         fill_facets(ripple, wave, geometry, facets)
@@ -524,7 +547,7 @@ def fill_pulses(ripple, data, geometry, pulses, lags, levels):  # type: ignore[n
             fill_rendered(wave, tangent, distance, geometry.shadow > 0, facets, law, pulse)
             flat = law[int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
         levels[b] = pulse.sum() / (facets.shape[1] * flat)
-        lags[b] = fill_blurred(pulse, kernel, reach, pulses[b])
+        lags[b] = fill_blurred(pulse, kernel, reach, waves, pulses[b])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

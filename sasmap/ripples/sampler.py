@@ -28,6 +28,15 @@ WIDENED = 1.04
 COMPONENTS, FLOOR = 5, 1e-3
 # Local steps over the difference of two particles, times the root of twice the dimension.
 LOCAL_STEP = 1.7
+# Share and width of a component as wide as all of a proposal, that bounds how far it can fall short
+# of the density; burn-in's rounds and their steps; accepted share and log of the density over the
+# proposal's at which they end, that over its median (pipelines/ripples/coherent.py).
+DEFENSIVE, WIDE = 0.2, 1.6
+ADAPTATIONS, ADAPTATION_STEPS, LEARNED, SHORTFALL = 6, 200, 0.3, 3.0
+# Rounds of a mixture's fit, and the gain in mean log likelihood at which it ends.
+EM_ROUNDS, EM_ENOUGH = 20, 1e-3
+# Share of a chain's draws that are independent, about.
+INDEPENDENT = 0.2
 # Points of a round in which a proposal is learned, and rounds at most; effective points a dimension
 # to which weights are flattened on the way, and with which it ends.
 POINTS, MOST_ROUNDS, ADAPTED, ENOUGH = 300, 12, 4.0, 25.0
@@ -43,7 +52,7 @@ class Proposal:
     """
 
     def __init__(self, mixture: Mixture) -> None:
-        self._mixture = mixture
+        self.mixture = mixture
         self._factor = np.linalg.cholesky(mixture.covariance)
         self._inverse = np.linalg.inv(self._factor)
         size = mixture.mean.shape[1]
@@ -58,17 +67,17 @@ class Proposal:
 
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw n points (n, size)."""
-        which = rng.choice(self._mixture.weight.size, n, p=self._mixture.weight)
-        white = rng.standard_normal((n, self._mixture.mean.shape[1]))
+        which = rng.choice(self.mixture.weight.size, n, p=self.mixture.weight)
+        white = rng.standard_normal((n, self.mixture.mean.shape[1]))
         white /= np.sqrt(rng.chisquare(STUDENT, n) / STUDENT)[:, None]
         moved = np.einsum("nij,nj->ni", self._factor[which], white)
-        return np.asarray(self._mixture.mean[which] + moved)
+        return np.asarray(self.mixture.mean[which] + moved)
 
     def log_density(self, points: FloatArray) -> FloatArray:
         """Log density at points (n, size)."""
         size = points.shape[1]
-        logs = np.empty((self._mixture.weight.size, len(points)))
-        for k, (mean, inverse) in enumerate(zip(self._mixture.mean, self._inverse, strict=True)):
+        logs = np.empty((self.mixture.weight.size, len(points)))
+        for k, (mean, inverse) in enumerate(zip(self.mixture.mean, self._inverse, strict=True)):
             square = ((inverse @ (points - mean).T) ** 2).sum(axis=0)
             logs[k] = self._norm[k] - 0.5 * (STUDENT + size) * np.log1p(square / STUDENT)
         return log_sum(logs)
@@ -147,6 +156,69 @@ def metropolis_hastings(
     return Chains(draws, accepted / (chains * steps))
 
 
+def adapted(
+    log_density: LogDensity,
+    proposal: Proposal,
+    particles: FloatArray,
+    starts: FloatArray,
+    rng: np.random.Generator,
+) -> tuple[Proposal, FloatArray, FloatArray]:
+    """Learn a proposal from chains in rounds of burn-in, until nothing is far beyond it.
+
+    Where the density is much larger than the proposal a chain stays long, and such places are what
+    importance sampling did not find.
+
+    Parameters
+    ----------
+    log_density : callable
+    proposal : Proposal
+        To begin with.
+    particles : ndarray (n, size)
+    starts : ndarray (chains, size)
+    rng : Generator
+
+    Returns
+    -------
+    proposal : Proposal
+        To be frozen.
+    particles : ndarray (m, size)
+    states : ndarray (chains, size)
+        Where the chains ended.
+    """
+    seen = np.empty((0, starts.shape[1]))
+    states = starts
+    for k in range(ADAPTATIONS):
+        guarded = defended(proposal)
+        chains = metropolis_hastings(log_density, guarded, particles, states, ADAPTATION_STEPS, rng)
+        states = chains.draws[:, -1]
+        drawn = chains.draws[:, ADAPTATION_STEPS // 4 if k == 0 else 0 :]
+        drawn = drawn.reshape(-1, starts.shape[1])
+        some = drawn[:: len(starts)]
+        excess = log_density(some) - guarded.log_density(some)
+        if chains.accepted > LEARNED and excess.max() - np.median(excess) < SHORTFALL:
+            return guarded, particles, states
+        seen = np.concatenate([seen[len(seen) // 3 :], drawn])
+        particles = seen[rng.permutation(len(seen))]
+        proposal = fit_proposal(particles, len(particles) * INDEPENDENT)
+    return defended(proposal), particles, states
+
+
+def defended(proposal: Proposal) -> Proposal:
+    """Return a proposal with one component more, wider than all of it (Hesterberg 1995)."""
+    known = proposal.mixture
+    mean = known.weight @ known.mean
+    apart = known.mean - mean
+    spread = known.covariance + apart[:, :, None] * apart[:, None, :]
+    covariance = WIDE**2 * np.einsum("k,kij->ij", known.weight, spread)
+    return Proposal(
+        Mixture(
+            np.append(known.weight * (1 - DEFENSIVE), DEFENSIVE),
+            np.vstack([known.mean, mean]),
+            np.concatenate([known.covariance, covariance[None]]),
+        )
+    )
+
+
 def mixture_of_peaks(peaks: list[tuple[FloatArray, FloatArray, float]]) -> Proposal:
     """Return a proposal about peaks: their place, covariance and log weight."""
     level = np.array([p[2] for p in peaks])
@@ -177,8 +249,9 @@ def fit_proposal(points: FloatArray, effective: float) -> Proposal:
         mixture, level = _fitted(z, n)
         cost = n * (1 + size + size * (size + 1) / 2)
         score = effective * level - 0.5 * cost * np.log(effective)
-        if score > best_score:
-            best, best_score = mixture, score
+        if score <= best_score:
+            break
+        best, best_score = mixture, score
     assert best is not None
     outer = WIDENED**2 * scale[:, None] * scale
     return Proposal(Mixture(best.weight, centre + scale * best.mean, best.covariance * outer))
@@ -190,7 +263,9 @@ def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
     floor = np.full(z.shape[1], FLOOR)
-    mixture, _, level = expectation_maximisation(z, share.astype(float), floor, 40, 1e-4)
+    mixture, _, level = expectation_maximisation(
+        z, share.astype(float), floor, EM_ROUNDS, EM_ENOUGH
+    )
     return mixture, level
 
 

@@ -44,10 +44,10 @@ class RippleSettings(BaseModel):
         "published model; lambert, or {exponent: n}: intensity follows the sine of the local "
         "grazing angle to the power 2, or n",
     )
-    scatter: tuple[NotNegative, NotNegative, NotNegative] = Field(
-        (0.00003, 0.0003, 0.005),
-        description="change and misregistration between passes, standard deviations: "
-        "of f and A_H as fractions, of the azimuth in degrees",
+    scatter: tuple[NotNegative, NotNegative, NotNegative] | None = Field(
+        None,
+        description="change and misregistration between passes, standard deviations: of f and A_H "
+        "as fractions, of the azimuth in degrees; by default what the survey shows",
     )
     keep_model: bool = Field(False, description="write modelled_amplitude.tif")
     chains: Annotated[int, Field(ge=2, le=64)] = Field(

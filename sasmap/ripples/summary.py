@@ -7,14 +7,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
+from sasmap.ripples.derived import UNKNOWN, Derived, derived_of_draws
 from sasmap.ripples.mixture import fit_mixture
-from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality
+from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality, axial
 
 NAN = float("nan")
 LAW = ("exponent", "concentration", "peakedness", "asymmetry")
 Numbers = tuple[float, ...]
+FloatArray = NDArray[np.float64]
+# Least contrast per slope: a law that grows with grazing angle has more.
+LEAST_CONTRAST = 0.05
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,8 @@ class Summary:
     ----------
     mean, sd, q05, q95 : tuple of float
         Of f (cycles/m) and A_H (m), by this look alone (with the published method: combined).
+    derived : Derived
+        Wavelength and steepness.
     rhat, ess_bulk, ess_tail : tuple of float
         Of f, A_H and the azimuth.
     correlation : float
@@ -32,8 +39,9 @@ class Summary:
     azimuth : tuple of float
         Axial mean and standard deviation of the crest normal's, degrees clockwise from grid north.
     mixture : tuple of tuple of float
-        Gaussian mixture of (f, A_H, azimuth in degrees): of each component its weight, mean and
-        covariance by rows. Empty without ripples.
+        Gaussian mixture of log f, log contrast, azimuth in degrees, and exponent and concentration
+        of the law; of log f, log A_H and azimuth where the law is fixed: of each component its
+        weight, mean and covariance by rows. Empty without ripples.
     probability : float
         That the cell is rippled.
     coherence_length : float
@@ -43,6 +51,23 @@ class Summary:
         Of the scattering law sin^n(theta) exp(-c (theta - pi/2)^2), by this look alone.
     peakedness, asymmetry : float
         Second harmonics of the crest profile over A_H.
+    defect_density : float
+        Places a square metre of rippled floor where crests split or end.
+    reason : str
+        Why the look cannot tell whether there are ripples, in words; empty where it can.
+    second_mean, second_sd : tuple of float
+        Of f (cycles/m), A_H (m) and the azimuth (degrees) of a second system of ripples.
+    window : float
+        Side of the area that was estimated, cells: more than 1 where a wave is too long for one.
+    tangent, altitude : float
+        Of the grazing angle, and of the sonar, m, at the clip's middle.
+    altitude_gain, altitude_sd : float
+        Change of log A_H with log altitude; accuracy of the altitude, m.
+    crest_phase : tuple of float
+        Phase of the ripple at `centre`, cycles along the crest normal's azimuth from 0 to 180
+        degrees (h is A_H sin of 2 pi times it), and its circular standard deviation.
+    centre : tuple of float
+        Map position (east, north) of the clip's centre, m.
     """
 
     quality: Quality
@@ -57,6 +82,7 @@ class Summary:
     ess_tail: tuple[float, float, float] = (NAN, NAN, NAN)
     acceptance: float = NAN
     azimuth: tuple[float, float] = (NAN, NAN)
+    derived: Derived = UNKNOWN
     mixture: tuple[Numbers, ...] = ()
     probability: float = NAN
     coherence_length: float = NAN
@@ -68,6 +94,17 @@ class Summary:
     concentration_sd: float = NAN
     peakedness: float = NAN
     asymmetry: float = NAN
+    defect_density: float = NAN
+    reason: str = ""
+    second_mean: tuple[float, float, float] = (NAN, NAN, NAN)
+    second_sd: tuple[float, float, float] = (NAN, NAN, NAN)
+    window: float = 1.0
+    tangent: float = 1.0
+    altitude: float = 1.0
+    altitude_gain: float = 0.0
+    altitude_sd: float = 0.0
+    crest_phase: tuple[float, float] = (NAN, NAN)
+    centre: tuple[float, float] = (NAN, NAN)
 
     @property
     def density(self) -> Mixture | None:
@@ -75,7 +112,9 @@ class Summary:
         if not self.mixture:
             return None
         rows = np.array(self.mixture)
-        return Mixture(rows[:, 0], rows[:, 1:4], rows[:, 4:].reshape(-1, 3, 3))
+        size = 5 if rows.shape[1] == 31 else 3
+        square = rows[:, size + 1 :].reshape(-1, size, size)
+        return Mixture(rows[:, 0], rows[:, 1 : size + 1], square)
 
 
 def summarise(posterior: Posterior) -> Summary:
@@ -90,7 +129,12 @@ def summarise(posterior: Posterior) -> Summary:
     Summary
     """
     if not posterior.sampled:
-        return Summary(posterior.quality, posterior.left_out, probability=posterior.probability)
+        return Summary(
+            posterior.quality,
+            posterior.left_out,
+            probability=posterior.probability,
+            reason=posterior.reason,
+        )
     draws = [posterior.draws[name].values for name in ("frequency", "height")]
     q05, q95 = (tuple(float(np.quantile(d, p)) for d in draws) for p in (0.05, 0.95))
     spread = [float(d.std(ddof=1)) for d in draws]
@@ -110,7 +154,9 @@ def summarise(posterior: Posterior) -> Summary:
         acceptance=posterior.acceptance,
         azimuth=posterior.azimuth,
         mixture=_mixture(posterior),
+        derived=derived_of_draws(*draws),
         probability=posterior.probability,
+        **_second(posterior),
         **_shape(posterior),
         **_law(posterior),
     )
@@ -119,23 +165,72 @@ def summarise(posterior: Posterior) -> Summary:
 def _mixture(posterior: Posterior) -> tuple[Numbers, ...]:
     if "azimuth" not in posterior.draws:
         return ()
-    draws = [posterior.draws[name].values.ravel() for name in JUDGED]
-    turn = posterior.azimuth[0] - draws[2]  # about the axial mean, which is from 0 to 180
-    draws[2] = posterior.azimuth[0] - (turn - 180 * np.rint(turn / 180))
-    fitted = fit_mixture(np.stack(draws, axis=1))
+    draws = posterior.draws
+    azimuth = draws["azimuth"].values.ravel()
+    turn = posterior.azimuth[0] - azimuth  # about the axial mean, which is from 0 to 180
+    columns = [
+        np.log(draws["frequency"].values.ravel()),
+        np.log(draws["height"].values.ravel()),
+        posterior.azimuth[0] - (turn - 180 * np.rint(turn / 180)),
+    ]
+    law = [draws[name].values.ravel() for name in LAW[:2]]
+    if min(np.ptp(v) for v in law) > 0:
+        assert posterior.shape is not None
+        columns[1] = columns[1] + log_contrast(np.stack(law, axis=-1), posterior.shape.tangent)
+        columns += law
+    fitted = fit_mixture(np.stack(columns, axis=1))
     return tuple(
         (float(w), *(float(v) for v in m), *(float(v) for v in c.ravel()))
         for w, m, c in zip(*fitted, strict=True)
     )
 
 
-def _law(posterior: Posterior) -> dict[str, float]:
+def log_contrast(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
+    """Log of the relative change of intensity with slope, to first order.
+
+    Parameters
+    ----------
+    law : ndarray (..., 2)
+        n and c.
+    tangent : ndarray or float
+        Of the grazing angle; broadcasts against the law's leading axes.
+
+    Returns
+    -------
+    ndarray (...)
+        As :func:`sasmap.ripples.rendering.contrast_per_slope`.
+    """
+    n, c = law[..., 0], law[..., 1]
+    per_slope = n / tangent + 2 * c * (0.5 * np.pi - np.arctan(tangent)) + tangent
+    return np.asarray(np.log(np.maximum(per_slope, LEAST_CONTRAST)))
+
+
+def contrast_slopes(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
+    """Differentiate :func:`log_contrast` by n and c (..., 2)."""
+    per_slope = np.exp(log_contrast(law, tangent))
+    each = np.broadcast_arrays(1 / tangent, 2 * (0.5 * np.pi - np.arctan(tangent)))
+    return np.asarray(np.stack(each, axis=-1) / per_slope[..., None])
+
+
+def _law(posterior: Posterior) -> dict[str, Any]:
     """Scattering law and crest profile, where they are part of the posterior."""
     if "exponent" not in posterior.draws:
         return {}
     mean, sd = posterior.mean, posterior.sd
     found = {name: float(mean[name]) for name in LAW}
     return found | {f"{name}_sd": float(sd[name]) for name in LAW[:2]}
+
+
+def _second(posterior: Posterior) -> dict[str, Any]:
+    """Means and standard deviations of a second system of ripples, where there is one."""
+    draws = posterior.second
+    if not draws.sizes:
+        return {}
+    (f, f_sd), (height, height_sd) = (
+        (float(draws[name].mean()), float(draws[name].std(ddof=1))) for name in JUDGED[:2]
+    )
+    azimuth, azimuth_sd = axial(draws["azimuth"].values)
+    return {"second_mean": (f, height, azimuth), "second_sd": (f_sd, height_sd, azimuth_sd)}
 
 
 def _shape(posterior: Posterior) -> dict[str, Any]:
@@ -146,7 +241,31 @@ def _shape(posterior: Posterior) -> dict[str, Any]:
         "coherence_length": shape.coherence_length,
         "rippled_fraction": shape.rippled_fraction,
         "noise_factor": shape.noise_factor,
+        "defect_density": shape.defect_density,
+        "tangent": shape.tangent,
+        "altitude": shape.altitude,
+        "altitude_sd": shape.altitude_sd,
+        "altitude_gain": _altitude_gain(posterior),
+        "crest_phase": _crest_phase(posterior),
+        "centre": shape.centre,
     }
+
+
+def _crest_phase(posterior: Posterior) -> tuple[float, float]:
+    """Circular mean and standard deviation of the phase, cycles."""
+    mean = np.exp(1j * posterior.draws["phase"].values).mean()
+    sd = np.sqrt(-2 * np.log(min(abs(mean), 1.0)))
+    return float(np.angle(mean) / (2 * np.pi) % 1.0), float(sd / (2 * np.pi))
+
+
+def _altitude_gain(posterior: Posterior) -> float:
+    """Change of log A_H with log altitude: the slope over the draws."""
+    scale = np.log(posterior.draws["altitude_scale"].values.ravel())
+    height = np.log(posterior.draws["height"].values.ravel())
+    variance = float(scale.var())
+    if variance < 1e-16:
+        return 0.0
+    return float(((scale - scale.mean()) * (height - height.mean())).mean() / variance)
 
 
 def _triple(values: Mapping[str, float]) -> tuple[float, float, float]:

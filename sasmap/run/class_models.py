@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.errors import InputError, check_file
+from sasmap.io.jsonfile import finite
 from sasmap.sediments.fitting import FAMILIES, Law
 from sasmap.sediments.segmentation import Classes
 from sasmap.sediments.texture import BINS, CHANNELS, WINDOWS, Texture
@@ -80,7 +81,8 @@ def model_text(names: Sequence[str], codes: Sequence[str], classes: Classes) -> 
             f.name: np.round(getattr(classes.texture, f.name), 6).tolist()
             for f in fields(classes.texture)
         }
-    return json.dumps(content, indent=None if "texture" in content else 2) + "\n"
+    indent = None if "texture" in content else 2
+    return json.dumps(finite(content), indent=indent, allow_nan=False) + "\n"
 
 
 def read_model(path: Path) -> ClassModel:
@@ -143,8 +145,8 @@ def law_of(content: dict[str, Any]) -> Law:
     ValueError, KeyError, TypeError
         Where it is none.
     """
-    values = {f.name: content[f.name] for f in fields(Law)}
-    law = Law(**{**values, "errors": tuple(values["errors"])})
+    values = {f.name: _number(content[f.name]) for f in fields(Law)}
+    law = Law(**{**values, "errors": tuple(_number(v) for v in values["errors"])})
     numbers = (law.scale, law.mean_square)
     shaped = law.family in ("rayleigh", "rice") or law.shape > 0
     if law.family not in FAMILIES or not shaped or not all(0 < v < np.inf for v in numbers):
@@ -152,3 +154,8 @@ def law_of(content: dict[str, Any]) -> Law:
     if not 0 <= law.kappa < np.inf:
         raise ValueError("kappa: expected at least 0")
     return law
+
+
+def _number(value: Any) -> Any:
+    """Read null, as JSON has no NaN."""
+    return float("nan") if value is None else value

@@ -4,25 +4,36 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from sasmap.errors import InputError
+from sasmap.ripples import rendering
 from sasmap.run.plan import Plan
 from sasmap.run.sediment_map import SAMPLE
 from sasmap.run.store import Store
-from sasmap.run.task import finished_looks
+from sasmap.run.task import finished_looks, try_look
 from sasmap.run.wording import duration, size
 
-# Seconds a pixel on one core, measured by pipelines/scale/scale.py: looks without ripples and with
-# bent ones; the sediment map.
-FLAT, RIPPLED, MAPPED = 4e-7, 2.4e-6, 5e-7
+# Seconds of a look at a cell on one core where none can be timed: flat sea floor a pixel, and
+# ripples, whose cost hardly depends on the window (the sample survey on a 2.5 GHz core).
+FLAT, RIPPLED = 1e-6, 4.0
+# Seconds a pixel on one core: of the sample from which sediment classes are found, of the sediment
+# map, and of the mosaic (each look); seconds of start, products and report together (the same).
+FOUND, MAPPED, LAID, FIXED = 8e-7, 5e-7, 5e-7, 8.0
+# Looks that `plan` times, at most, of each so many, and seconds after which it times no more.
+TIMED, SHARE, ENOUGH = 8, 3, 15.0
 # Bytes of the process and its libraries; a pixel of a cell in work; a pixel of the sample.
 BASE, WORKING, SAMPLED = 400e6, 300.0, 130.0
-# Bytes on disk: of a look at a cell; of its pixels for the sediment map, and modelled; of the map
-# in the making, and of products.
-RECORD, KEPT, MODELLED, MAKING, PRODUCTS = 4096, 6, 4, 22, 6
+# Bytes on disk: of a look at a cell with its picture; of its pixels for the sediment map, modelled,
+# and of the ripples' extent; of the map in the making, and of products; of the mosaic, while it is
+# made and when it is.
+RECORD, KEPT, MODELLED, EXTENT = 80_000, 6, 4, 1
+MAKING, PRODUCTS, MOSAIC = 22, 6, 12
 
 
 class Cost(NamedTuple):
@@ -30,15 +41,12 @@ class Cost(NamedTuple):
 
     Attributes
     ----------
-    seconds : tuple of float
-        Where no cell is rippled, and where all are.
     memory, disk : float
         Bytes, at most.
     finished, looks : int
         Looks at cells that an earlier run has finished, and all.
     """
 
-    seconds: tuple[float, float]
     memory: float
     disk: float
     finished: int
@@ -46,7 +54,7 @@ class Cost(NamedTuple):
 
 
 def cost_of(plan: Plan, workers: int | None) -> Cost:
-    """Estimate what a run will cost.
+    """Estimate what a run will cost in memory and on disk.
 
     Parameters
     ----------
@@ -62,21 +70,74 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
     threads = workers or os.cpu_count() or 1
     looks = sum(len(k) for k in plan.cells.values())
     cell = survey.window**2
-    pixels = len(plan.cells) * cell
     finished = finished_looks(plan, Store(survey.output_folder)) if survey.ripples else 0
-    low = high = 0.0
     memory = BASE + WORKING * cell * threads
-    disk = 0.0
+    grid = plan.opened.grid.rows * plan.opened.grid.columns * cell
+    disk = float(MOSAIC * grid)
     if survey.ripples is not None:
-        left = (looks - finished) * cell
-        low, high = FLAT * left, RIPPLED * left
-        disk += (looks - finished) * (RECORD + MODELLED * cell * survey.ripples.keep_model)
+        kept = EXTENT + MODELLED * survey.ripples.keep_model
+        disk += (looks - finished) * (RECORD + kept * cell)
     if survey.sediments is not None:
-        low, high = (v + MAPPED * (pixels + 0.2 * looks * cell) for v in (low, high))
         memory += SAMPLED * min(SAMPLE, looks * cell)
         disk += KEPT * (looks - finished) * cell * (survey.ripples is not None)
-        disk += (MAKING + PRODUCTS) * plan.opened.grid.rows * plan.opened.grid.columns * cell
-    return Cost((low / threads, high / threads), memory, disk, finished, looks)
+        disk += (MAKING + PRODUCTS) * grid
+    return Cost(memory, disk, finished, looks)
+
+
+def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
+    """Estimate how long a run will take, from looks at a few cells that are timed.
+
+    Parameters
+    ----------
+    plan : Plan
+    workers : int or None
+
+    Returns
+    -------
+    low, high : float
+        Equal where looks could be timed; else without ripples, and with ripples everywhere.
+    """
+    survey = plan.settings
+    threads = workers or os.cpu_count() or 1
+    cost, cell = cost_of(plan, workers), survey.window**2
+    low = high = LAID * cost.looks * cell
+    if survey.ripples is not None:
+        left = cost.looks - cost.finished
+        timed = _timed(plan, left) if left and compiled() else []
+        ends = (FLAT * cell, RIPPLED) if not timed else (float(np.mean(timed)),) * 2
+        low, high = low + left * ends[0], high + left * ends[1]
+    if survey.sediments is not None:
+        pixels = len(plan.cells) * cell + 0.2 * cost.looks * cell
+        mapped = MAPPED * pixels + FOUND * min(SAMPLE, cost.looks * cell)
+        low, high = low + mapped, high + mapped
+    return FIXED + low / threads, FIXED + high / threads
+
+
+def _timed(plan: Plan, left: int) -> list[float]:
+    """Seconds of looks at cells spread over the survey."""
+    looks = [(cell, k) for cell, swaths in plan.cells.items() for k in swaths]
+    count = min(max(left // SHARE, 2), left, TIMED)
+    seconds: list[float] = []
+    for i in range(count):
+        cell, k = looks[(2 * i + 1) * len(looks) // (2 * count)]
+        start = time.perf_counter()
+        try:
+            try_look(plan, cell, k)
+        except Exception:
+            continue  # the run tells what is wrong with a cell
+        seconds.append(time.perf_counter() - start)
+        if sum(seconds) > ENOUGH:
+            break
+    return seconds[1:] if len(seconds) > 2 else seconds  # the first loads code and tables
+
+
+def compiled() -> bool:
+    """Whether the compiled code of this version is there, by that of the rendered wavelength."""
+    source = Path(rendering.__file__)
+    cached = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(cached) if cached else source.parent / "__pycache__"
+    made = (path.stat().st_mtime for path in folder.rglob(f"{source.stem}.*.nbi"))
+    return max(made, default=0.0) > source.stat().st_mtime
 
 
 def check_fits(plan: Plan, workers: int | None) -> None:
@@ -118,7 +179,8 @@ def describe_cost(plan: Plan, workers: int | None) -> Iterator[str]:
     threads = workers or os.cpu_count() or 1
     if cost.finished:
         yield f"finished by an earlier run: {cost.finished} of {cost.looks} looks at cells"
-    low, high = (duration(v) for v in cost.seconds)
+    low, high = (duration(v) for v in seconds_of(plan, workers))
     span = low if low == high else f"{low} without ripples to {high} with ripples everywhere"
-    yield f"time: about {span}, on {threads} threads (and a minute to compile, once)"
+    first = "" if compiled() else ", and a minute to compile, once"
+    yield f"time: about {span}, on {threads} threads{first}"
     yield f"memory: about {size(cost.memory)}; disk: at most {size(cost.disk)}"

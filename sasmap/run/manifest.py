@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import math
 import os
 import platform
 import time
@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from sasmap.catalogue import MANIFEST
-from sasmap.io.files import write_text
+from sasmap.io.jsonfile import write_json
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
-from sasmap.run.plan import Plan
+from sasmap.ripples.survey import SurveyModel
+from sasmap.run.plan import Plan, crs_name
 from sasmap.run.store import Store, code_version
 
 
@@ -29,6 +30,7 @@ class Outcome:
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
     fused: dict[tuple[int, int], FusedCell] = field(default_factory=dict)
+    survey: SurveyModel | None = None
     keys: dict[tuple[int, int], list[str | None]] = field(default_factory=dict)
     sediments: list[dict[str, Any]] = field(default_factory=list)
     histograms: list[dict[str, list[float]]] = field(default_factory=list)
@@ -60,8 +62,10 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
             "rows": plan.opened.grid.rows,
             "columns": plan.opened.grid.columns,
             "cell_size_m": plan.opened.grid.size,
+            "crs": crs_name(plan.opened.grid.crs),
         },
         "cells_by_quality": outcome.counts(),
+        "scattering_law": law_record(outcome.survey),
         "looks_computed": outcome.computed,
         "looks_kept_from_earlier_runs": outcome.kept,
         "sediment_classes": outcome.sediments,
@@ -71,18 +75,50 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
         "products": [*(p.name for p in outcome.written), MANIFEST],
         "seconds": {name: round(value, 3) for name, value in outcome.seconds.items()},
     }
-    write_text(path, json.dumps(content, indent=2) + "\n", store.scratch)
+    write_json(path, content, store.scratch)
     return path
 
 
+def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
+    """Tell the survey's scattering law and what else its looks share, with 5 and 95 % quantiles."""
+    if survey is None or not survey.values:
+        return None
+    quantiles = survey.quantiles()
+    low, middle, high = (quantiles["law"][i] for i in range(3))
+    spread = quantiles["spread"][1]
+    names = ("exponent", "concentration")
+    law = {
+        name: {"median": middle[i], "q05": low[i], "q95": high[i], "spread": spread[i]}
+        for i, name in enumerate(names)
+    }
+    return {
+        "form": "intensity = sin(grazing)^exponent exp(-concentration (grazing - pi/2)^2)",
+        "learned": survey.learned,
+        **(law if survey.learned else {}),
+        "lambert": {"exponent": 2.0, "concentration": 0.0},
+        "zare_cobb": {"exponent": 0.0, "concentration": 3 / math.pi},
+        "altitude_offset_m": [list(q) for q in quantiles["offset"].T],
+        "scatter_between_passes": list(quantiles["scatter"][1]),
+    }
+
+
+# Why looks leave a part of the estimate out.
+REASONS = {
+    LeftOut.SAMPLING: "sampling: no wave was found, or too few pixels to look for one",
+    LeftOut.PRESENCE_TEST: "test for presence: the published method has none",
+    LeftOut.SHADOW: "shadow: no slope is steep enough to cast one at its range",
+    LeftOut.ORIENTATION: "orientation: the published method takes crests as looked at square-on",
+    LeftOut.PHASE_FIELD: "phase field: the crests are straight",
+}
+
+
 def left_out_counts(outcome: Outcome) -> Iterator[str]:
-    """Tell what looks did not need, and how many."""
+    """Tell what looks did not need and why, and how many."""
     every = [s for summaries in outcome.cells.values() for s in summaries if s is not None]
     for flag in LeftOut:
         count = sum(1 for s in every if flag in s.left_out)
         if count:
-            name = str(flag.name).lower().replace("_", " ")
-            yield f"{name}: at {count} of {len(every)} looks at cells"
+            yield f"{REASONS[flag]} ({count} of {len(every)} looks at cells)"
 
 
 def _relative(path: Path, base: Path) -> str:

@@ -6,24 +6,31 @@ import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sasmap.catalogue import LOG, MANIFEST, RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS
+from sasmap.catalogue import BY_FILE, LOG, MANIFEST, RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS
 from sasmap.errors import InputError, fault_of
 from sasmap.io.rasters import float_layer, write_large_cog
+from sasmap.products.cell_values import cell_results
 from sasmap.products.colours import QUALITY_COLOURS
-from sasmap.products.model import Mosaic
-from sasmap.products.qgis import categories, write_styles
-from sasmap.products.ripples import write_ripple_rasters, write_ripples_netcdf
+from sasmap.products.model import ModelledAmplitude
+from sasmap.products.netcdf import write_ripples_netcdf
+from sasmap.products.qgis.project import Titles, write_styles
+from sasmap.products.qgis.styles import categories
+from sasmap.products.ripples import write_cells, write_ripple_rasters
 from sasmap.products.stac import write_stac
-from sasmap.ripples.fusion import fuse
+from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
-from sasmap.run.cost import check_fits
+from sasmap.run.answers import summary_lines
+from sasmap.run.cost import check_fits, compiled
+from sasmap.run.extent_stage import write_ripple_extent
 from sasmap.run.lock import LOCK, locked
 from sasmap.run.manifest import Clock, Outcome, write_manifest
-from sasmap.run.plan import Plan, Swath, make_plan, tags_of
+from sasmap.run.mosaic import write_mosaic
+from sasmap.run.plan import Plan, Swath, dates_of, make_plan, recorded, tags_of
 from sasmap.run.reporting import make_report
 from sasmap.run.scheduling import check_workers, cluster, compute
 from sasmap.run.sediment_stage import sediment_stage
@@ -31,6 +38,7 @@ from sasmap.run.store import Store, code_version
 from sasmap.run.task import Context
 from sasmap.settings.survey import Survey
 from sasmap.survey.cells import Cell
+from sasmap.version import VERSION
 
 log = logging.getLogger("sasmap")
 
@@ -42,7 +50,7 @@ def run_survey(
     workers: int | None = None,
     scheduler: str | None = None,
     restart: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Outcome:
     """Run a survey: estimate every cell, write every product.
 
@@ -58,7 +66,7 @@ def run_survey(
     restart : bool
         Forget finished work first.
     progress : callable, optional
-        Called with the number of finished cells and of all.
+        Called with the stage (ripples or sediments), the number of finished cells and of all.
 
     Returns
     -------
@@ -78,7 +86,7 @@ def run_survey(
     with cluster(scheduler) as client:
         check_workers(client, sorted(plan.hashes))
         store = Store(_made(survey.output_folder))
-        with locked(store.folder / LOCK), _logged(store.output / LOG):
+        with locked(store.folder / LOCK), _logged(store.output / LOG) as note:
             log.info("sasmap %s, run %s of %s", code_version(), plan.run_id, survey.path)
             for warning in plan.opened.warnings:
                 log.warning("warning: %s", warning)
@@ -91,12 +99,20 @@ def run_survey(
             if survey.ripples is not None:
                 with clock.stage("ripples"):
                     _estimate_cells(plan, store, outcome, workers, client, progress)
-            _make_products(plan, store, outcome, clock, workers)
+            _make_products(plan, store, outcome, clock, workers, progress)
+            for line in summary_lines(outcome):
+                note(line)
+            note("ended: " + ("complete" if not outcome.failures else "some things failed"))
     return outcome
 
 
 def _make_products(
-    plan: Plan, store: Store, outcome: Outcome, clock: Clock, workers: int | None
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    clock: Clock,
+    workers: int | None,
+    progress: Callable[[str, int, int], None] | None,
 ) -> None:
     survey = plan.settings
     if survey.ripples is not None:
@@ -105,7 +121,15 @@ def _make_products(
     if survey.sediments is not None:
         log.info("sediments")
         with clock.stage("sediments"):
-            _attempt(outcome, "sediments", lambda: sediment_stage(plan, store, outcome, workers))
+            told = None if progress is None else partial(progress, "sediments")
+            _attempt(
+                outcome,
+                "sediments",
+                lambda: sediment_stage(plan, store, outcome, workers, told),
+            )
+    log.info("mosaic")
+    with clock.stage("mosaic"):
+        _attempt(outcome, "mosaic.tif", lambda: write_mosaic(plan, store, workers))
     _name_stale(store, outcome)
     log.info("report")
     with clock.stage("report"):
@@ -127,8 +151,11 @@ def _name_stale(store: Store, outcome: Outcome) -> None:
 
 
 @contextmanager
-def _logged(path: Path) -> Iterator[None]:
-    """Write what is said to a log file as well, with the time."""
+def _logged(path: Path) -> Iterator[Callable[[str], None]]:
+    """Write what is said to a log file as well, with the time; tell there how the run ended.
+
+    Yields a function that writes a line to the file alone.
+    """
     try:
         handler = logging.FileHandler(path, encoding="utf-8")
     except OSError as error:
@@ -137,8 +164,18 @@ def _logged(path: Path) -> Iterator[None]:
     before = log.level
     log.setLevel(logging.INFO)
     log.addHandler(handler)
+
+    def note(line: str) -> None:
+        handler.handle(log.makeRecord(log.name, logging.INFO, "", 0, line, (), None))
+
     try:
-        yield
+        yield note
+    except KeyboardInterrupt as stop:
+        note(f"ended: {stop or 'interrupted'}; run again to go on from here")
+        raise
+    except BaseException as error:
+        note(f"ended: {fault_of(error) if isinstance(error, Exception) else error!r}")
+        raise
     finally:
         log.removeHandler(handler)
         log.setLevel(before)
@@ -163,13 +200,16 @@ def _estimate_cells(
     outcome: Outcome,
     workers: int | None,
     client: Any,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[str, int, int], None] | None,
 ) -> None:
     settings = plan.settings.ripples
     assert settings is not None
     cells = list(plan.cells)
     log.info("%d cells, %d looks at them", len(cells), sum(map(len, plan.cells.values())))
-    found = compute(Context(plan, store), cells, workers, client, progress)
+    if not compiled():
+        log.info("compiling first, once after an installation or update: about a minute")
+    told = None if progress is None else partial(progress, "ripples")
+    found = compute(Context(plan, store), cells, workers, client, told)
     done = dict(zip(cells, found, strict=True))
     for cell, looks in plan.cells.items():
         summaries: list[Summary | None] = [None] * len(plan.swaths)
@@ -184,7 +224,10 @@ def _estimate_cells(
                 outcome.failures.append(_failure(cell, plan.swaths[k], result.fault))
         outcome.cells[cell.row, cell.column] = summaries
         outcome.keys[cell.row, cell.column] = keys
-        outcome.fused[cell.row, cell.column] = fuse(summaries, settings)
+    every = list(outcome.cells.values())
+    outcome.survey = learn_survey(every, settings, plan.settings.seed)
+    fused = fuse_cells(every, settings, outcome.survey)
+    outcome.fused = dict(zip(outcome.cells, fused, strict=True))
 
 
 def _failure(cell: Cell, look: Swath, fault: str) -> dict[str, Any]:
@@ -196,13 +239,18 @@ def _present(plan: Plan, store: Store, outcome: Outcome) -> None:
     """Styles, project, STAC item and report."""
     written = [p.name for p in outcome.written]
     names = categories([c["name"] for c in outcome.sediments], QUALITY_COLOURS)
-    _attempt(outcome, "styles", lambda: write_styles(store.output, written, names, store.scratch))
+    titles = Titles(plan.settings.name, dates_of(plan), plan.run_id, f"sasmap {VERSION}")
+    _attempt(
+        outcome,
+        "styles",
+        lambda: write_styles(store.output, written, names, titles, store.scratch),
+    )
     grid = plan.opened.grid
     left, top = grid.left, grid.top
     box = left, top - grid.rows * grid.size, left + grid.columns * grid.size, top
     path = store.output / "stac.json"
-    known = plan.run_id, plan.settings.name, box, grid.crs
-    _attempt(outcome, path.name, lambda: [write_stac(path, *known, written, store.scratch)])
+    known = plan.run_id, plan.settings.name, box, grid.crs, written, recorded(plan)
+    _attempt(outcome, path.name, lambda: [write_stac(path, *known, store.scratch)])
     _attempt(outcome, "report.html", lambda: [make_report(plan, store, outcome, names)])
 
 
@@ -220,17 +268,25 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     grid, settings = plan.opened.grid, plan.settings.ripples
     assert settings is not None
     shape = grid.rows, grid.columns
-    place: list[Any] = [grid.transform, grid.crs, tags_of(plan), store.scratch]
-    found = outcome.cells, outcome.fused
-    names = [look.sonar_pass.name for look in plan.swaths]
-    labels = [look.label for look in plan.swaths]
+    scratch, tags = store.scratch, tags_of(plan)
+    names = [swath.sonar_pass.name for swath in plan.swaths]
+    labels = [swath.label for swath in plan.swaths]
+    results = cell_results(outcome.cells, outcome.fused, names)
+    place = grid.transform, grid.crs
     _attempt(
         outcome,
         "ripple rasters",
-        lambda: write_ripple_rasters(store.output, *found, names, shape, *place),
+        lambda: write_ripple_rasters(store.output, results, shape, *place, tags, scratch),
     )
+    _attempt(outcome, "ripple cells", lambda: write_cells(store.output, results, *place, scratch))
     path = store.output / "ripples.nc"
-    _attempt(outcome, path.name, lambda: write_ripples_netcdf(path, *found, labels, shape, *place))
+    found = outcome.cells, outcome.fused, labels, names
+    _attempt(
+        outcome,
+        path.name,
+        lambda: write_ripples_netcdf(path, *found, shape, *place, tags, scratch),
+    )
+    _attempt(outcome, "ripple_extent.gpkg", lambda: [write_ripple_extent(plan, store, outcome)])
     if settings.keep_model:
         _attempt(outcome, "modelled amplitude", lambda: [_write_model(plan, store, outcome)])
 
@@ -247,7 +303,8 @@ def _write_model(plan: Plan, store: Store, outcome: Outcome) -> Path:
                 return found[0]
         return None
 
-    mosaic = Mosaic(model, (grid.rows, grid.columns), window)
-    layer = float_layer(["modelled amplitude"], [""], tags_of(plan))
-    write_large_cog(path, mosaic, layer, grid.pixels(window), grid.crs, store.scratch)
+    amplitude = ModelledAmplitude(model, (grid.rows, grid.columns), window)
+    bands = BY_FILE[path.name].bands
+    layer = float_layer([b.text for b in bands], [b.unit for b in bands], tags_of(plan))
+    write_large_cog(path, amplitude, layer, grid.pixels(window), grid.crs, store.scratch)
     return path

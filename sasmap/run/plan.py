@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import pyproj
 import shapely
 
 from sasmap.errors import InputError
@@ -19,6 +22,10 @@ from sasmap.survey.opening import OpenSurvey, check_kept, open_survey
 from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
 from sasmap.survey.tiles import Tile, hash_file
 from sasmap.survey.training import Training, check_shown, read_training
+
+# Grazing angle, degrees, below which ripples of crest to trough over wavelength 0.11 (slope 0.35)
+# cast shadow; difference of grazing angles that tells the law by contrast alone.
+SHADOW_GRAZING, APART = 19.0, 10.0
 
 
 class Swath(NamedTuple):
@@ -163,6 +170,31 @@ def _left_out(survey: Survey) -> Iterator[str]:
         yield "sediments: the survey file has no sediments block"
 
 
+def _law_told(plan: Plan) -> str:
+    """Tell which cells can be expected to tell the scattering law from A_H."""
+    grid = plan.opened.grid
+    cells = list(plan.cells)
+    bounds = np.array([grid.bounds(cell) for cell in cells])
+    x, y = bounds[:, [0, 2]].mean(axis=1), bounds[:, [1, 3]].mean(axis=1)
+    grazing = np.full((len(plan.swaths), len(cells)), np.nan)
+    for k, swath in enumerate(plan.swaths):
+        seen = swath.sonar_pass.track.locate(x, y)
+        shown = np.array([k in plan.cells[cell] for cell in cells])
+        angle = np.degrees(np.arctan2(seen.altitude, seen.distance))
+        grazing[k] = np.where(shown, angle, np.nan)
+    low = np.nanmin(np.where(np.isnan(grazing), np.inf, grazing), axis=0)
+    high = np.nanmax(np.where(np.isnan(grazing), -np.inf, grazing), axis=0)
+    shadowed = int((low < SHADOW_GRAZING).sum())
+    several = int((high - low > APART).sum())
+    told = (
+        f"{shadowed} of {len(cells)} cells are seen below {SHADOW_GRAZING:.0f} degrees, where "
+        f"common ripples cast shadow, {several} at grazing angles {APART:.0f} degrees apart"
+    )
+    if shadowed or several:
+        return f"{told}: these can fix it for all"
+    return f"{told}: nothing may tell it from A_H, whose intervals would then be wide"
+
+
 def _classes_told(plan: Plan) -> str:
     """Where the sediment classes come from."""
     settings = plan.settings.sediments
@@ -187,12 +219,36 @@ def tags_of(plan: Plan) -> dict[str, str]:
     }
 
 
+def crs_name(wkt: str) -> str:
+    """Return a CRS as people name it, with its code where it has one."""
+    crs = pyproj.CRS.from_wkt(wkt)
+    authority = crs.to_authority()
+    return f"{crs.name} ({':'.join(authority)})" if authority else str(crs.name)
+
+
+def recorded(plan: Plan) -> tuple[datetime, datetime] | None:
+    """First and last date that the passes give, UTC where none says else; None without any."""
+    given = [datetime.fromisoformat(p.date) for p in plan.settings.passes if p.date is not None]
+    dates = sorted(d.replace(tzinfo=UTC) if d.tzinfo is None else d.astimezone(UTC) for d in given)
+    return (dates[0], dates[-1]) if dates else None
+
+
+def dates_of(plan: Plan) -> str:
+    """Return the days of a survey as people write them; empty where no pass gives any."""
+    found = recorded(plan)
+    if found is None:
+        return ""
+    first, last = (d.date().isoformat() for d in found)
+    return first if first == last else f"{first} to {last}"
+
+
 def describe(plan: Plan) -> Iterable[str]:
     """Tell what a plan would run, a line each."""
     grid = plan.opened.grid
     looks = [len(k) for k in plan.cells.values()]
     yield f"survey: {plan.settings.name}"
     yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    yield f"crs: {crs_name(grid.crs)}"
     for p in plan.opened.passes:
         met = sum(any(plan.swaths[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
         sides = " and ".join(p.sides)
@@ -200,6 +256,8 @@ def describe(plan: Plan) -> Iterable[str]:
     if plan.settings.ripples is not None:
         method = plan.settings.ripples.method
         yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+        if method == "default" and plan.settings.ripples.scattering == "estimated":
+            yield f"scattering law: {_law_told(plan)}"
     if plan.settings.sediments is not None:
         yield f"sediments: {_classes_told(plan)}"
     shown = Counter(len(k) for k in plan.cells.values())

@@ -25,7 +25,17 @@ Progress = Callable[[int, int], None]
 
 @contextmanager
 def cluster(address: str | None) -> Iterator[Any]:
-    """Connect to a dask scheduler; None without an address.
+    """Connect to a dask scheduler.
+
+    Parameters
+    ----------
+    address : str or None
+        Of the scheduler, with its port.
+
+    Yields
+    ------
+    distributed.Client or None
+        None without an address.
 
     Raises
     ------

@@ -6,7 +6,7 @@ Everything of the map's size lies on disk; memory does not grow with the survey.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -170,6 +170,7 @@ def map_sediments(
     scratch: Path,
     stack: ExitStack,
     least: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> SedimentMap | None:
     """Find or learn classes, map them and refine their boundaries.
 
@@ -188,6 +189,8 @@ def map_sediments(
         Closes them.
     least : float
         Pixels of the smallest patch that the map shows.
+    progress : callable, optional
+        Called with the number of cells that have been read and of all.
 
     Returns
     -------
@@ -203,7 +206,7 @@ def map_sediments(
     def canvas(name: str, dtype: str) -> Canvas:
         return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
 
-    surface = lay(ground, known, workers, scratch, stack)
+    surface = lay(ground, known, workers, scratch, stack, progress)
     classes = _classes(surface, count, known)
     if classes is None:
         return None

@@ -20,6 +20,7 @@ from sasmap.products.sediments import write_sediments
 from sasmap.run.class_models import ClassModel, model_text
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan, tags_of
+from sasmap.run.scheduling import Progress
 from sasmap.run.sediment_map import map_sediments
 from sasmap.run.sediment_surface import Ground
 from sasmap.run.store import Store, code_version, digest
@@ -33,12 +34,18 @@ log = logging.getLogger("sasmap")
 RECORD = "sediments.json"
 
 
-def sediment_stage(plan: Plan, store: Store, outcome: Outcome, workers: int | None) -> list[Path]:
+def sediment_stage(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    progress: Progress | None = None,
+) -> list[Path]:
     """Map sediments, or keep an earlier run's map of the same; returns the products."""
     key = _key(plan, outcome)
     kept = _kept(store, key)
     if kept is None:
-        return _map(plan, store, outcome, workers, key)
+        return _map(plan, store, outcome, workers, key, progress)
     outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
     return [store.output / name for name in kept["files"]]
 
@@ -81,7 +88,14 @@ def _kept(store: Store, key: str) -> dict[str, Any] | None:
         return None
 
 
-def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: str) -> list[Path]:
+def _map(
+    plan: Plan,
+    store: Store,
+    outcome: Outcome,
+    workers: int | None,
+    key: str,
+    progress: Progress | None,
+) -> list[Path]:
     settings = plan.settings.sediments
     assert settings is not None
     grid, window = plan.opened.grid, plan.settings.window
@@ -93,7 +107,7 @@ def _map(plan: Plan, store: Store, outcome: Outcome, workers: int | None, key: s
         threads = workers or os.cpu_count() or 1
         known = _known(plan)
         least = settings.least_area / abs(transform.determinant)
-        found = map_sediments(ground, count, known, threads, store.scratch, stack, least)
+        found = map_sediments(ground, count, known, threads, store.scratch, stack, least, progress)
         reader.record(outcome)
         if found is None:
             return []

@@ -118,7 +118,12 @@ class Surface(NamedTuple):
 
 
 def lay(
-    ground: Ground, known: ClassModel | None, workers: int | None, scratch: Path, stack: ExitStack
+    ground: Ground,
+    known: ClassModel | None,
+    workers: int | None,
+    scratch: Path,
+    stack: ExitStack,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Surface:
     """Lay a survey's looks on disk and take their ripples off.
 
@@ -133,6 +138,8 @@ def lay(
         Folder of the rasters.
     stack : ExitStack
         Closes them.
+    progress : callable, optional
+        Called with the number of cells that have been read and of all.
 
     Returns
     -------
@@ -164,7 +171,10 @@ def lay(
         if marks is not None and known is not None and known.marks is not None and place in marked:
             marks[part] = known.marks(*place)
 
-    deque(mapped(read, product(range(ground.rows), range(ground.columns)), workers), 0)
+    every = product(range(ground.rows), range(ground.columns))
+    for done, _ in enumerate(mapped(read, every, workers), 1):
+        if progress is not None:
+            progress(done, ground.rows * ground.columns)
     deque(mapped(lambda p: _take_off(surface, p), surface.blocks(PIECE), workers), 0)
     return surface
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -15,11 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.io.files import write_text, written_whole
+from sasmap.ripples.derived import Derived
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.version import VERSION
 
 FOLDER = ".sasmap"
+# What JSON has no number for, as text.
+NO_NUMBERS = ("nan", "inf", "-inf")
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,9 @@ class Store:
 
     def save(self, key: str, summary: Summary) -> None:
         """Keep a finished result."""
-        write_text(self.path(key), json.dumps(asdict(summary)), self.scratch)
+        write_text(
+            self.path(key), json.dumps(_plain(asdict(summary)), allow_nan=False), self.scratch
+        )
 
     def arrays_path(self, key: str) -> Path:
         """Where the arrays of a result are kept."""
@@ -93,15 +99,28 @@ class Store:
 def _summary(content: dict[str, Any]) -> Summary:
     if set(content) != {f.name for f in fields(Summary)}:
         raise ValueError("not a summary of this version")
-    pairs = {k: _frozen(v) for k, v in content.items()}
+    reason = str(content.pop("reason"))  # the one text; all others stand for numbers
+    pairs = {"reason": reason} | {k: _frozen(v) for k, v in content.items()}
     pairs["quality"] = Quality(content["quality"])
     pairs["left_out"] = LeftOut(content["left_out"])
+    pairs["derived"] = Derived(*pairs["derived"])
     return Summary(**pairs)
 
 
+def _plain(value: Any) -> Any:
+    """Write what JSON has no number for as text: NaN and the infinities."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(v) for v in value]
+    return repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _frozen(value: Any) -> Any:
-    """Turn lists, however deep, into the tuples they were."""
-    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+    """Turn lists, however deep, into the tuples they were, and such text into numbers."""
+    if isinstance(value, list):
+        return tuple(_frozen(v) for v in value)
+    return float(value) if value in NO_NUMBERS else value
 
 
 def digest(content: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -14,20 +15,30 @@ from numpy.typing import NDArray
 
 from sasmap.errors import fault_of
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.estimation import estimate
+from sasmap.ripples.detection import Unclear
+from sasmap.ripples.estimation import MIN_PIXELS, estimate
+from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fusion import next_prior
+from sasmap.ripples.image import as_image, on_clip
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import Summary, summarise
 from sasmap.run.plan import Plan, Swath
 from sasmap.run.store import Store, code_version, digest
-from sasmap.survey.cells import Cell
+from sasmap.survey.cells import Cell, CellGrid
 from sasmap.survey.navigation import Track
 from sasmap.survey.passes import Side, read_clip
 from sasmap.survey.placement import on_cell
+from sasmap.survey.tiles import Tile
 
 MIN_VALID = 0.25
+# Steps of the probability that a pixel is rippled, as the store keeps it, and pixels not seen.
+CERTAIN, UNSEEN = 200, 255
+# Cells a side of the window in which a wave that is too long for a cell is estimated.
+WIDER = 2.0
+# Pixels a side of a modelled image, and draws a chain, that are kept for the report, at most.
+PICTURE, DRAWS = 250, 100
 
 
 class LookResult(NamedTuple):
@@ -77,25 +88,44 @@ def _earlier(summaries: Sequence[Summary | None], settings: RippleSettings) -> l
 
 
 def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookResult:
-    plan, store = context
+    plan = context.plan
     look = plan.swaths[k]
-    settings = ripple_settings(plan)
-    prior = next_prior(earlier, settings)
+    prior = next_prior(earlier, ripple_settings(plan))
     key = _key(plan, cell, look, [prior.mean, prior.sd])
+    result = _finished(context, cell, look, prior, key)
+    if result.summary is None or result.summary.reason != Unclear.WAVES:
+        return result
+    # a wave that is too long for the cell: what lies around it may tell
+    around = sorted({t.path for t in tiles_around(plan, cell, look)})
+    wide = _finished(
+        context, cell, look, prior, digest([key, [plan.hashes[p] for p in around]]), WIDER
+    )
+    found = wide.summary is not None and np.isfinite(wide.summary.mean[0])
+    return wide._replace(computed=wide.computed or result.computed) if found else result
+
+
+def _finished(
+    context: Context, cell: Cell, look: Swath, prior: Prior, key: str, window: float = 1.0
+) -> LookResult:
+    """Take a look's result from the store, or work it out: of a window so many cells a side."""
+    plan, store = context
     kept = store.load(key)
     if kept is not None:
         return LookResult(kept, None, False, key)
-    clip = clip_of(plan, cell, look, look.side)
+    clip = clip_of(plan, cell, look, look.side, window)
     pixels = None if clip is None else Clip.from_array(clip)
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     if clip is None or pixels is None:
         summary = Summary(Quality.NO_DATA, LeftOut.SAMPLING)
-    elif _shown(plan, cell, look, clip) < MIN_VALID:
+    elif window == 1 and _shown(plan, cell, look, clip) < MIN_VALID:
         summary = Summary(Quality.TOO_FEW_PIXELS, LeftOut.SAMPLING)
     else:
-        posterior = _estimated(plan, cell, look, pixels, settings, prior)
-        summary = summarise(posterior)
-        arrays = _modelled(plan, cell, pixels, posterior)
+        posterior = _estimated(plan, cell, look, pixels, ripple_settings(plan), prior)
+        summary = replace(summarise(posterior), window=window)
+        arrays |= _modelled(plan, cell, pixels, posterior) | _pictured(posterior)
+        if posterior.rippled is not None:
+            arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
+            arrays["reference"] = np.array(posterior.reference)
     if plan.settings.sediments is not None and pixels is not None:
         amplitude, cotangent = _floor(plan, cell, pixels)
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
@@ -112,35 +142,16 @@ def _estimated(
     return estimate(pixels, settings, rng=rng, prior=prior)
 
 
-def estimate_again(
-    context: Context, cell: Cell, k: int, summaries: Sequence[Summary | None]
-) -> tuple[xr.DataArray | None, Posterior | None]:
-    """Estimate a look once more, with its model: the same to the bit, for the report.
-
-    Parameters
-    ----------
-    context : Context
-    cell : Cell
-    k : int
-        Swath.
-    summaries : sequence of Summary or None
-        What the run found of each look at the cell.
-
-    Returns
-    -------
-    clip : DataArray or None
-    posterior : Posterior or None
-        None where the look was not estimated.
-    """
-    plan = context.plan
-    look = plan.swaths[k]
-    clip = clip_of(plan, cell, look, look.side)
-    summary = summaries[k]
-    if clip is None or summary is None or summary.quality is Quality.TOO_FEW_PIXELS:
-        return clip, None
-    settings = ripple_settings(plan).model_copy(update={"keep_model": True})
-    prior = next_prior(_earlier(summaries[:k], settings), settings)
-    return clip, _estimated(plan, cell, look, Clip.from_array(clip), settings, prior)
+def try_look(plan: Plan, cell: Cell, k: int) -> None:
+    """Do what a look at a cell takes, and keep nothing: for `plan`, which times it."""
+    swath, settings = plan.swaths[k], ripple_settings(plan)
+    clip = clip_of(plan, cell, swath, swath.side)
+    if clip is None or _shown(plan, cell, swath, clip) < MIN_VALID:
+        return
+    pixels = Clip.from_array(clip)
+    posterior = _estimated(plan, cell, swath, pixels, settings, next_prior([], settings))
+    summarise(posterior)
+    _modelled(plan, cell, pixels, posterior)
 
 
 def finished_looks(plan: Plan, store: Store) -> int:
@@ -157,17 +168,92 @@ def finished_looks(plan: Plan, store: Store) -> int:
     return sum(store.path(key).exists() for key in keys)
 
 
-def _modelled(
-    plan: Plan, cell: Cell, clip: Clip, posterior: Posterior
-) -> dict[str, NDArray[np.float32]]:
-    """Modelled amplitude on a cell's own pixels, if it is kept."""
+def _modelled(plan: Plan, cell: Cell, clip: Clip, posterior: Posterior) -> dict[str, NDArray[Any]]:
+    """Modelled amplitude on a cell's own pixels: small for the report, whole if it is kept."""
     settings = plan.settings.ripples
     assert settings is not None
     place = plan.opened.grid, cell, plan.settings.window
-    found = {}
-    if settings.keep_model and posterior.model is not None:
-        found["model"] = on_cell(clip, posterior.model, *place)
+    found: dict[str, NDArray[Any]] = {}
+    if posterior.model is not None:
+        model = on_cell(clip, posterior.model, *place)
+        found["picture"], found["picture_step"] = in_bytes(block_means(model, PICTURE))
+        if settings.keep_model:
+            found["model"] = model
     return found
+
+
+def _pictured(posterior: Posterior) -> dict[str, NDArray[Any]]:
+    """Draws for the report, thinned."""
+    if not posterior.sampled:
+        return {}
+    step = max(1, -(-posterior.draws.sizes["draw"] // DRAWS))
+    names = ("frequency", "height")
+    return {name: posterior.draws[name].values[:, ::step].astype(np.float32) for name in names}
+
+
+def block_means(image: NDArray[Any], most: int) -> NDArray[Any]:
+    """Average an image (rows, columns) over squares, to at most so many pixels a side."""
+    factor = max(1, -(-max(image.shape) // most))
+    rows, columns = (-(-n // factor) for n in image.shape)
+    padded = np.full((rows * factor, columns * factor), np.nan)
+    padded[: image.shape[0], : image.shape[1]] = image
+    squares = padded.reshape(rows, factor, columns, factor)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, squares, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def in_bytes(image: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    """Quantise an image of values of at least 0 to a byte a pixel; 0 stands for NaN.
+
+    Returns the bytes and the step, so that the image is ``(bytes - 1) * step``.
+    """
+    known = np.isfinite(image)
+    top = float(np.max(image, where=known, initial=0.0))
+    step = top / 254 if top > 0 else 1.0
+    values = np.where(known, 1 + np.rint(np.nan_to_num(image) / step), 0)
+    return values.astype(np.uint8), np.array(step)
+
+
+def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Probability of rippled floor on a cell's own pixels, in steps of 1 / CERTAIN."""
+    there = on_cell(clip, rippled, plan.opened.grid, cell, plan.settings.window)
+    known = np.isfinite(there)
+    steps = np.rint(CERTAIN * np.where(known, there, 0.0))
+    return np.where(known, steps, UNSEEN).astype(np.uint8)
+
+
+def extent_beside(
+    context: Context, cell: Cell, k: int, references: Sequence[NDArray[np.float64]]
+) -> NDArray[np.uint8] | None:
+    """Tell how far ripples of the cells around go on into one where none were found.
+
+    Parameters
+    ----------
+    context : Context
+    cell : Cell
+    k : int
+        Swath.
+    references : sequence of ndarray (3,)
+        `Posterior.reference` of the cells around.
+
+    Returns
+    -------
+    ndarray of uint8 (window, window) or None
+        As the store keeps it; None where the look does not show the cell.
+    """
+    plan = context.plan
+    look = plan.swaths[k]
+    array = clip_of(plan, cell, look, look.side) if k in plan.cells.get(cell, ()) else None
+    if array is None:
+        return None
+    clip = Clip.from_array(array)
+    if clip.valid.sum() < MIN_PIXELS or np.ptp(clip.amplitude[clip.valid]) == 0:
+        return None
+    image = as_image(clip)
+    found = [ripple_extent(image, r[:2], float(r[2])).probability for r in references]
+    return _packed(plan, cell, clip, on_clip(clip, image, np.max(found, axis=0)))
 
 
 def _floor(plan: Plan, cell: Cell, pixels: Clip) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
@@ -180,16 +266,39 @@ def _floor(plan: Plan, cell: Cell, pixels: Clip) -> tuple[NDArray[np.float32], N
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
-    """Return settings of the estimates."""
+    """Return settings of the estimates: the report needs the modelled amplitude."""
     settings = plan.settings.ripples
     assert settings is not None
-    return settings
+    return settings.model_copy(update={"keep_model": True})
 
 
-def clip_of(plan: Plan, cell: Cell, look: Swath, side: Side) -> xr.DataArray | None:
-    """Read what one side of a look's pass shows of a cell."""
-    tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
-    return read_clip(look.sonar_pass, plan.opened.grid, cell, side, tiles)
+def clip_of(
+    plan: Plan, cell: Cell, look: Swath, side: Side, window: float = 1.0
+) -> xr.DataArray | None:
+    """Read what one side of a look's pass shows of a cell, or of so many cells a side about it."""
+    grid = plan.opened.grid
+    if window == 1:
+        tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
+        return read_clip(look.sonar_pass, grid, cell, side, tiles)
+    before = 0.5 * (window - 1)
+    square = CellGrid(
+        grid.crs,
+        grid.left + (cell.column - before) * grid.size,
+        grid.top - (cell.row - before) * grid.size,
+        window * grid.size,
+        1,
+        1,
+    )
+    return read_clip(look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look))
+
+
+def tiles_around(plan: Plan, cell: Cell, look: Swath) -> tuple[Tile, ...]:
+    """Tiles of a look's pass that show a cell or those around it, each once."""
+    met = plan.tiles[look.sonar_pass.name]
+    steps = (-1, 0, 1)
+    cells = [Cell(cell.row + r, cell.column + c) for r in steps for c in steps]
+    found = {tile.path: tile for one in cells for tile in met.get(one, ())}
+    return tuple(found[path] for path in sorted(found))
 
 
 def _shown(plan: Plan, cell: Cell, look: Swath, clip: xr.DataArray) -> float:

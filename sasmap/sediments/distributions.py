@@ -18,6 +18,10 @@ from sasmap.sediments.moments import fit_moments
 
 FloatArray = NDArray[np.float64]
 
+# Where a search with a held parameter starts at most and at least: beyond, the likelihood
+# of speckle is flat in nu (Rayleigh or Rice) or at the edge of what kappa may be.
+FREE_NU, FREE_KAPPA = 50.0, 0.1
+
 
 class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
     """Generalised K law of an amplitude (G 5): shapes nu and kappa = delta / a; the scale is a.
@@ -82,7 +86,9 @@ class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
         data : array_like
             Amplitudes, at least 0.
         **kwds
-            ``floc`` may be given and must be 0; ``method="MM"`` fits by moments.
+            As in scipy, ``f0`` (or ``fnu``, ``fix_nu``) holds nu at a value, ``f1`` (or ``fkappa``,
+            ``fix_kappa``) kappa, ``fscale`` the scale; ``floc`` must be 0. ``method="MM"`` fits by
+            moments, with nothing held.
 
         Returns
         -------
@@ -92,9 +98,17 @@ class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
         ------
         ValueError
             Where data are empty, negative or not finite, or another loc is asked for.
+        TypeError
+            For any other keyword, and for starting values, which this fit does not need.
         """
-        _check_loc(kwds)
-        law = fit_moments(data) if kwds.get("method") == "MM" else fit(data)
+        held, moments = _held(self.shapes, args, kwds)
+        if moments:
+            law = fit_moments(data)
+        else:
+            law = fit(data)
+            if held:
+                start = min(law.nu, FREE_NU), max(law.kappa, FREE_KAPPA)
+                return _constrained(self, data, held, start, law.scale)
         return law.nu, law.kappa, 0.0, law.scale
 
 
@@ -133,14 +147,57 @@ class KDistribution(GeneralizedK):
 
     def fit(self, data: FloatArray, *args: Any, **kwds: Any) -> tuple[float, ...]:
         """Fit by maximum likelihood: nu, loc (0) and scale; see :meth:`GeneralizedK.fit`."""
-        _check_loc(kwds)
+        held, moments = _held(self.shapes, args, kwds)
+        if moments:
+            raise ValueError("method: expected MLE: the K law is not fitted by moments")
         law = fit(data, "k")
+        if held:
+            return _constrained(self, data, held, (min(law.nu, FREE_NU),), law.scale)
         return law.nu, 0.0, law.scale
 
 
-def _check_loc(options: dict[str, Any]) -> None:
+def _held(
+    shapes: str, starts: tuple[Any, ...], options: dict[str, Any]
+) -> tuple[dict[str, float], bool]:
+    """Read the options of a fit as scipy names them.
+
+    Returns the parameters that are held, by the names ``f0``, ``f1`` and ``fscale``, and whether
+    moments are asked for.
+    """
+    if starts:
+        raise TypeError("fit() takes no starting values: hold a shape with f0=, f1= or fscale=")
+    names = {"fscale": "fscale"}
+    for k, shape in enumerate(shapes.split(", ")):
+        names |= dict.fromkeys((f"f{k}", f"f{shape}", f"fix_{shape}"), f"f{k}")
+    unknown = sorted(set(options) - set(names) - {"floc", "loc", "method"})
+    if unknown:
+        known = ", ".join((*names, "floc", "method"))
+        raise TypeError(f"fit() got an unexpected keyword {unknown[0]!r}; it knows {known}")
     if options.get("floc", 0) != 0 or options.get("loc", 0) != 0:
         raise ValueError("floc: expected 0, amplitudes begin there")
+    held = [(names[k], float(v)) for k, v in options.items() if k in names and v is not None]
+    if len(dict(held)) < len(held):
+        raise TypeError("fit() got two values of one parameter")
+    method = str(options.get("method", "MLE")).upper()
+    if method not in ("MLE", "MM"):
+        raise ValueError(f"method: expected MLE or MM, got {options['method']!r}")
+    if method == "MM" and held:
+        raise ValueError("method: a fit by moments can hold no parameter")
+    return dict(held), method == "MM"
+
+
+def _constrained(
+    law: GeneralizedK,
+    data: FloatArray,
+    held: dict[str, float],
+    start: tuple[float, ...],
+    scale: float,
+) -> tuple[float, ...]:
+    """Fit what is not held by scipy's own search, from the free fit."""
+    if len(held) == len(start) + 1:
+        raise ValueError("all parameters are held: there is nothing to fit")
+    found = stats.rv_continuous.fit(law, np.asarray(data), *start, scale=scale, floc=0.0, **held)
+    return tuple(float(v) for v in found)
 
 
 def _log_power_mean(nu: FloatArray, power: float) -> FloatArray:

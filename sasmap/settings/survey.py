@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -71,6 +72,11 @@ class PassSettings(_Block):
     altitude_sd: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = Field(
         0.02, description="how well altitude is known, standard deviation, m"
     )
+    date: str | None = Field(
+        None,
+        description="when it was recorded: a date, or date and time, as 2024-05-01 or "
+        "2024-05-01T14:30:00Z",
+    )
 
     @field_validator("columns")
     @classmethod
@@ -85,6 +91,18 @@ class PassSettings(_Block):
     @classmethod
     def _known_crs(cls, value: str | None) -> str | None:
         return _check_crs(value)
+
+    @field_validator("date")
+    @classmethod
+    def _iso_date(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                datetime.fromisoformat(value)
+            except ValueError:
+                raise ValueError(
+                    f"expected a date such as 2024-05-01 or 2024-05-01T14:30:00Z, got {value!r}"
+                ) from None
+        return value
 
 
 class ClassSettings(_Block):
@@ -238,7 +256,17 @@ def load_survey(path: str | Path) -> Survey:
 
 
 def expanded(path: str) -> Path:
-    """Return a path with a leading ``~`` replaced by the user's home folder."""
+    """Replace a leading ``~`` of a path by the user's home folder.
+
+    Parameters
+    ----------
+    path : str
+
+    Returns
+    -------
+    Path
+        Unchanged where there is no such user, so that the missing file is reported.
+    """
     try:
         return Path(path).expanduser()
     except RuntimeError:  # no such user: the name is taken as it is, and its absence told
@@ -246,7 +274,25 @@ def expanded(path: str) -> Path:
 
 
 def parse_model(model: type[Model], content: dict[str, Any], path: Path) -> Model:
-    """Validate a file's content against a model; every fault becomes one line."""
+    """Validate a file's content against a model.
+
+    Parameters
+    ----------
+    model : type of pydantic model
+    content : dict
+        As parsed from YAML.
+    path : Path
+        Of the file, for messages.
+
+    Returns
+    -------
+    model
+
+    Raises
+    ------
+    InputError
+        With one line for each fault.
+    """
     try:
         return model.model_validate(content, strict=False)
     except ValidationError as error:
@@ -254,7 +300,20 @@ def parse_model(model: type[Model], content: dict[str, Any], path: Path) -> Mode
 
 
 def fault_lines(model: type[BaseModel], error: ValidationError, path: Path) -> list[str]:
-    """Turn pydantic's errors into lines ``file: key: what was expected``."""
+    """Turn pydantic's errors into lines ``file: key: what was expected``.
+
+    Parameters
+    ----------
+    model : type of pydantic model
+    error : ValidationError
+    path : Path
+        Of the file that was validated.
+
+    Returns
+    -------
+    list of str
+        Without repeats.
+    """
     lines = []
     details = error.errors(include_url=False)
     for detail in details:

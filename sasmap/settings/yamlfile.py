@@ -10,6 +10,7 @@ import yaml
 
 from sasmap.errors import InputError, check_file
 
+# Largest settings file that is read, bytes: a thousand passes fill a tenth of it.
 MAX_BYTES = 1_000_000
 
 
@@ -120,7 +121,17 @@ for _tag, _pattern, _first in _SCALARS:
 
 
 def dump_yaml(content: dict[str, Any]) -> str:
-    """Write a mapping as YAML that :func:`load_yaml` reads back to the same values."""
+    """Write a mapping as YAML that :func:`load_yaml` reads back to the same values.
+
+    Parameters
+    ----------
+    content : dict
+        Of numbers, strings, lists and dicts.
+
+    Returns
+    -------
+    str
+    """
     return yaml.dump(content, Dumper=_CoreDumper, sort_keys=False, allow_unicode=True)
 
 

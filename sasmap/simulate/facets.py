@@ -92,7 +92,21 @@ def _gamma(place: np.uint64, nu: float) -> float:
 def patch_texture(
     key: np.uint64, rows: NDArray[np.int64], columns: NDArray[np.int64], nu: float
 ) -> FloatArray:
-    """Texture of pixel-sized patches: gamma of shape nu and mean 1, (rows, columns)."""
+    """Draw the texture of pixel-sized patches.
+
+    Parameters
+    ----------
+    key : uint64
+        Of the stream of random numbers.
+    rows, columns : ndarray of int64
+        Indices of the patches; the same patch always gets the same texture.
+    nu : float
+        Shape of the gamma distribution, whose mean is 1.
+
+    Returns
+    -------
+    ndarray (rows, columns)
+    """
     result = np.empty((rows.size, columns.size))
     for i in range(rows.size):
         for j in range(columns.size):

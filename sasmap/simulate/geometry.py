@@ -61,7 +61,17 @@ class Line(NamedTuple):
 
 
 def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
-    """Lay a pass's track so that the scene lies abeam of it."""
+    """Lay a pass's track so that the scene lies abeam of it.
+
+    Parameters
+    ----------
+    scene : Scene
+    scene_pass : ScenePass
+
+    Returns
+    -------
+    Line
+    """
     heading = np.radians(scene_pass.heading)
     direction = np.array([np.sin(heading), np.cos(heading)])
     starboard = np.array([direction[1], -direction[0]])

@@ -14,6 +14,7 @@ from sasmap.simulate.scene import RipplePatch, Scene
 
 FloatArray = NDArray[np.float64]
 
+# Random waves that are summed to a Gaussian field: its excess kurtosis is -1.5 / WAVES = -0.006.
 WAVES = 256
 # Grid points per correlation length of the phase's wander.
 WANDER_SAMPLES = 8
@@ -42,7 +43,20 @@ class Waves(NamedTuple):
 
 
 def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
-    """Whether points lie in a polygon (n, 2), by the even-odd rule."""
+    """Tell whether points lie in a polygon, by the even-odd rule.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Points, m, of one shape.
+    polygon : ndarray (n, 2)
+        Vertices, m.
+
+    Returns
+    -------
+    ndarray of bool
+        Of the points' shape.
+    """
     inside = np.zeros(np.shape(x), bool)
     for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if y0 != y1:
@@ -52,7 +66,20 @@ def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> NDArray[np.
 
 
 def edge_distance(x: FloatArray, y: FloatArray, polygon: FloatArray) -> FloatArray:
-    """Distance of points from a polygon's outline, m."""
+    """Compute the distance of points from a polygon's outline.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Points, m, of one shape.
+    polygon : ndarray (n, 2)
+        Vertices, m.
+
+    Returns
+    -------
+    ndarray
+        m, of the points' shape.
+    """
     nearest = np.full(np.shape(x), np.inf)
     for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         dx, dy = x1 - x0, y1 - y0

@@ -27,6 +27,7 @@ from sasmap.simulate.seafloor import SeaFloor
 
 FloatArray = NDArray[np.float64]
 
+# Distance between the pings of simulated navigation, m.
 PING_SPACING = 0.5
 # A truth pixel is this many of the scene's.
 TRUTH_PIXELS = 10
@@ -86,7 +87,18 @@ def simulate(scene: Scene, output: str | Path) -> list[Path]:
 
 
 def pass_raster(scene: Scene, scene_pass: ScenePass) -> Raster:
-    """Lay a pass's pixels over the scene, rotated as the pass says."""
+    """Lay a pass's pixels over the scene, rotated as the pass says.
+
+    Parameters
+    ----------
+    scene : Scene
+    scene_pass : ScenePass
+
+    Returns
+    -------
+    Raster
+        Its pixels cover the whole scene.
+    """
     pixel = scene_pass.pixel_size or scene.pixel_size
     angle = np.radians(scene_pass.rotation)
     c, s = np.cos(angle), np.sin(angle)

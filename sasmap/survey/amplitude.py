@@ -1,11 +1,12 @@
-"""What a tile's numbers are: amplitude, intensity or decibels, and whether they can be that.
+"""What a tile's pixel values are: amplitude, intensity or decibels, and a check that they can be.
 
 The check rests on speckle. Where many scatterers share a pixel, amplitude follows a Rayleigh
 distribution: its standard deviation is 0.52 of its mean and its skewness 0.63 whatever the gain
 (Goodman, Speckle Phenomena in Optics, 2007, section 3.2). Texture (K distribution) and structure of
-the sea floor only raise both. Intensity has 1.0 and 2.0; decibels are skewed to the left; averages,
-interpolation and display scaling have less contrast. Statistics are taken over many small blocks,
-so that structure wider than a block does not count, and from the blocks with least contrast.
+the sea floor only raise both. Intensity has 1.0 and 2.0; decibels are skewed to the left;
+averaging, interpolation and display scaling lower the contrast. Statistics are taken over many
+small blocks, so that structure wider than a block does not count, and from the blocks with the
+least contrast.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from sasmap.survey.display import found_gamma
 from sasmap.survey.lattice import FloatArray
 
 Kind = Literal["linear", "intensity", "db"]
@@ -72,14 +74,14 @@ Sample = list[FloatArray]
 
 
 class Verdict(NamedTuple):
-    """What is odd about a tile's numbers.
+    """What is wrong with a tile's pixel values.
 
     Attributes
     ----------
     text : str
         What was found, what was expected and what to do.
     refused : bool
-        Whether numbers of that kind cannot be used at all.
+        Whether values of that kind cannot be used at all.
     """
 
     text: str
@@ -145,7 +147,7 @@ class Speckle:
 
 
 def to_linear(values: NDArray[np.floating], kind: Kind) -> NDArray[np.floating]:
-    """Convert a tile's numbers to linear amplitude.
+    """Convert a tile's pixel values to linear amplitude.
 
     Parameters
     ----------
@@ -156,7 +158,7 @@ def to_linear(values: NDArray[np.floating], kind: Kind) -> NDArray[np.floating]:
     Returns
     -------
     ndarray
-        NaN where there is no amplitude: negative numbers, unless they are decibels.
+        NaN where there is no amplitude: negative values, unless they are decibels.
     """
     if kind == "db":
         bounded = np.where(np.abs(values) <= LARGEST_DB, values, np.nan)
@@ -229,7 +231,7 @@ def _blocks(piece: FloatArray) -> FloatArray:
 
 
 def judge(sample: Sample, kind: Kind) -> Iterator[Verdict]:
-    """Say what is odd about a tile's numbers.
+    """Check a tile's pixel values against what the survey file says they are.
 
     Parameters
     ----------
@@ -257,7 +259,7 @@ def judge(sample: Sample, kind: Kind) -> Iterator[Verdict]:
 
 
 def _spoiled(sample: Sample, values: FloatArray, levels: FloatArray) -> Iterator[Verdict]:
-    """Saturation, few grey levels, lossy compression: whatever the numbers mean."""
+    """Find saturation, few grey levels and lossy compression, whatever the values mean."""
     top = float(levels[-1])
     share = float((values == top).mean())
     if share > SATURATED and levels.size > 2:
@@ -279,7 +281,7 @@ def _spoiled(sample: Sample, values: FloatArray, levels: FloatArray) -> Iterator
 
 
 def _negative(sample: Sample, values: FloatArray, kind: Kind) -> Verdict | None:
-    """Negative numbers, which neither amplitude nor intensity has."""
+    """Find negative values, which neither amplitude nor intensity has."""
     share = float((values < 0).mean())
     if kind == "db" or share <= NEGATIVE:
         return None
@@ -294,13 +296,13 @@ def _negative(sample: Sample, values: FloatArray, kind: Kind) -> Verdict | None:
 
 
 def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
-    """Contrast and skewness that speckle of the told kind cannot have."""
+    """Find contrast and skewness that speckle of the given kind cannot have."""
     raw = speckle_of(sample, 0.0 if kind == "db" else FEWEST_STEPS * step)
     told = speckle_of([np.asarray(to_linear(p, kind)) for p in sample]) if kind != "linear" else raw
     if not told.enough:
         return _unlike_decibels(raw) if kind == "db" else None
     if told.fits:
-        return _black_level(raw) if kind == "linear" else None
+        return _black_level(raw) or _display(sample, step) if kind == "linear" else None
     found = f"contrast {told.contrast:.2f} and skewness {told.least_skewness:.2f}"
     start = f"does not look like {_name(kind)} ({found}; speckle has 0.52 and 0.6)"
     others = [other for other in KINDS if other != kind and _fitting(sample, other)]
@@ -313,7 +315,7 @@ def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
 
 
 def _unlike_decibels(raw: Speckle) -> Verdict | None:
-    """Numbers that cannot be turned from decibels at all."""
+    """Refuse values that are no decibels of anything."""
     if not raw.enough:
         return None
     return Verdict(
@@ -330,14 +332,29 @@ def _black_level(raw: Speckle) -> Verdict | None:
     )
 
 
+def _display(sample: Sample, step: float) -> Verdict | None:
+    gamma = found_gamma(sample, step)
+    if gamma is None:
+        return None
+    if gamma < 1:
+        return Verdict(
+            f"its speckle is compressed, as by a display gamma of about {gamma:.2f} or by "
+            "averaging: A_H will be too small; export linear amplitude at full resolution"
+        )
+    return Verdict(
+        f"its speckle is stretched, as by a display gamma of about {gamma:.1f}: A_H will be too "
+        "large; export linear amplitude"
+    )
+
+
 def _fitting(sample: Sample, kind: Kind) -> bool:
-    """Whether speckle allows that numbers are of a kind."""
+    """Whether the values can be speckle of a kind."""
     told = speckle_of([np.asarray(to_linear(piece, kind)) for piece in sample])
     return told.enough and told.fits
 
 
 def _cause(raw: Speckle, told: Speckle, kind: Kind) -> str:
-    """Say what may have been done to the numbers, and what to do."""
+    """Say what may have been done to the values, and what to do."""
     if raw.skewness < LOGARITHMIC:
         return (
             "they look like decibels of another scale, as for display; export linear amplitude, or "
@@ -347,12 +364,12 @@ def _cause(raw: Speckle, told: Speckle, kind: Kind) -> str:
         return "they look like averaged intensity; try amplitude: intensity"
     if told.too_much:
         return (
-            "it has more contrast, as intensity has (amplitude: intensity) or what was stretched "
-            "for display; export linear amplitude"
+            "its contrast is too high, as that of intensity (amplitude: intensity) or after "
+            "stretching for display; export linear amplitude"
         )
     return (
-        "it has less contrast, as what was averaged, interpolated or scaled for display (gamma, "
-        "log, equalised) has; A_H will be too small; export linear amplitude at full resolution"
+        "its contrast is too low, as if it were averaged, interpolated or scaled for display "
+        "(gamma, log, equalised): A_H will be too small; export linear amplitude at full resolution"
     )
 
 

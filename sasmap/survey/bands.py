@@ -1,4 +1,4 @@
-"""Which bands a tile has: one of amplitudes, perhaps with alpha, or the same grey thrice."""
+"""Which bands a tile has: one of amplitudes, perhaps with alpha, or three of the same grey."""
 
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ SIDE, WINDOWS = 64, 9
 def check_bands(path: Path, source: rasterio.DatasetReader) -> None:
     """Check that a tile's first band holds amplitudes, and that no other band says more.
 
+    Parameters
+    ----------
+    path : Path
+        Of the tile, for messages.
+    source : DatasetReader
+
     Raises
     ------
     InputError
@@ -31,8 +37,8 @@ def check_bands(path: Path, source: rasterio.DatasetReader) -> None:
     colours = list(source.colorinterp)
     if colours[0] == ColorInterp.palette and not _grey_palette(source):
         raise InputError(
-            f"{path}: its numbers are places in a palette, a picture's colours: expected "
-            "amplitudes; export the data, not the picture"
+            f"{path}: its values are indices into a colour palette: expected amplitudes; export "
+            "the data, not the picture"
         )
     bands = [c for c in colours if c != ColorInterp.alpha]
     if len(bands) == 1 and colours[0] != ColorInterp.alpha:
@@ -51,7 +57,7 @@ def check_bands(path: Path, source: rasterio.DatasetReader) -> None:
 
 
 def _grey_palette(source: rasterio.DatasetReader) -> bool:
-    """Whether a palette says no more than that a number is its own grey."""
+    """Whether a palette shows each value as the grey of that value."""
     try:
         palette = source.colormap(1)
     except ValueError:

@@ -15,7 +15,10 @@ from sasmap.errors import InputError
 from sasmap.survey.lattice import FloatArray
 from sasmap.survey.tiles import Tile
 
+# Largest scale error of a map projection: heights and wavelengths are wrong by as much. A UTM zone
+# and its neighbours stay below 1.3 %, Web Mercator exceeds 2 % beyond 12 degrees of latitude.
 MAX_STRETCH = 0.02
+# Cells beyond which the plan alone takes minutes: 4 million of 12.5 m cover a square of 25 km.
 MAX_CELLS = 4_000_000
 
 

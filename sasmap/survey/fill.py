@@ -1,4 +1,4 @@
-"""Fill without nodata: large areas of exactly one value at a tile's edge, which nothing saw."""
+"""Fill that is not declared as nodata: large areas of exactly one value at a tile's edge."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gains of the tiles of a pass compared where they overlap or meet: they must be one."""
+"""Comparison of the gains of a pass's tiles where they overlap or meet: they must be equal."""
 
 from __future__ import annotations
 

@@ -89,9 +89,24 @@ class Lattice:
 def transform_points(
     source: str, target: str, x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Bring map points from one CRS (WKT) to another; easting or longitude first.
+    """Transform map points from one CRS to another.
 
-    Points that the target CRS cannot hold come back as infinity.
+    Parameters
+    ----------
+    source, target : str
+        CRS as WKT.
+    x, y : ndarray
+        Easting or longitude, and northing or latitude, whatever the order of the CRS's axes.
+
+    Returns
+    -------
+    x, y : ndarray
+        Infinity for points that the target CRS cannot hold.
+
+    Raises
+    ------
+    InputError
+        Where there is no transformation between the two.
     """
     if source == target:
         return x, y
@@ -105,7 +120,20 @@ def transform_points(
 
 
 def outline(window: Window, lattice: Lattice, points: int = 5) -> tuple[FloatArray, FloatArray]:
-    """Return map points around a window's edge, ``points`` to a side, corners included."""
+    """Return map points around a window's edge.
+
+    Parameters
+    ----------
+    window : Window
+    lattice : Lattice
+    points : int
+        Number to a side, corners included.
+
+    Returns
+    -------
+    x, y : ndarray (4 * points,)
+        In the lattice's CRS.
+    """
     s = np.linspace(0.0, 1.0, points)
     columns = window.column + window.width * np.concatenate(
         [s, np.ones(points), s, np.zeros(points)]
@@ -116,9 +144,17 @@ def outline(window: Window, lattice: Lattice, points: int = 5) -> tuple[FloatArr
 
 
 def bounding_window(row: FloatArray, column: FloatArray) -> Window:
-    """Return the smallest window that holds fractional pixel points (edges, not centres).
+    """Return the smallest window that holds some points.
 
-    Points within 1e-6 pixel of a pixel edge do not reach into the next pixel.
+    Parameters
+    ----------
+    row, column : ndarray
+        Fractional pixels, counted from the pixels' edges.
+
+    Returns
+    -------
+    Window
+        Points within 1e-6 pixel of a pixel's edge do not reach into the next pixel.
     """
     top, left = int(np.floor(row.min() + 1e-6)), int(np.floor(column.min() + 1e-6))
     bottom, right = int(np.ceil(row.max() - 1e-6)), int(np.ceil(column.max() - 1e-6))

@@ -17,17 +17,21 @@ from sasmap.errors import InputError
 from sasmap.settings.survey import NavigationColumn
 from sasmap.survey.lattice import transform_points
 from sasmap.survey.lines import find_lines
-from sasmap.survey.pings import Pings, checked_pings
+from sasmap.survey.pings import ROUNDED, Pings, checked_pings, rounding_of
 from sasmap.survey.tables import Table, read_table
 
 FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
 COLUMNS = ("x", "y", "longitude", "latitude", "altitude")
-# Below this grazing angle nothing is seen: farther tiles belong to another track.
+# How far a track is extended beyond its first and last ping at most, m.
 MAX_REACH = 5.0
+# Length of a degree of latitude, m (a nautical mile of 1852 m is a minute).
+METRES_A_DEGREE = 60 * 1852.0
 # Port and starboard are told by the course over this length to either side, m.
 COURSE_LENGTH = 3.0
+# Below this grazing angle (a range of 115 altitudes) nothing is seen: farther tiles belong to
+# another track.
 MIN_GRAZING = np.radians(0.5)
 
 
@@ -297,7 +301,9 @@ def read_navigation(
         raise InputError(
             f"{path}: row {rows[lost[0]]}: positions lie outside what the survey's CRS can hold"
         )
-    return _tracks(*checked_pings(Pings(path, rows, x, y, altitude)))
+    pings, warnings = checked_pings(Pings(path, rows, x, y, altitude))
+    warnings += _rounded(path, names, values, source)
+    return _tracks(pings, warnings)
 
 
 def _position_columns(
@@ -331,6 +337,22 @@ def _position_columns(
             "they have other names: columns: {x: NAME, y: NAME}"
         )
     return names, navigation_crs or (WGS84 if geographic else tile_crs)
+
+
+def _rounded(
+    path: Path, names: tuple[str, str], values: list[FloatArray], source: str
+) -> list[str]:
+    """Name positions that are rounded so much that ranges are wrong."""
+    crs = pyproj.CRS.from_user_input(source)
+    unit = METRES_A_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
+    steps = [rounding_of(v) * unit for v in values]
+    if max(steps) < ROUNDED:
+        return []
+    name = names[int(np.argmax(steps))]
+    return [
+        f"{path}: {name} is rounded to steps of {max(steps):.2g} m: ranges are wrong by half of "
+        "that or more; export more digits"
+    ]
 
 
 def _check_degrees(

@@ -107,7 +107,7 @@ def open_survey(survey: Survey) -> OpenSurvey:
     crs = _product_crs(survey, [tile for part in tiles for tile in part])
     grid = lay_grid([tile for part in tiles for tile in part], crs, survey.window)
     warnings: list[str] = []
-    log.info("checking %d tiles and %d navigation files", sum(map(len, tiles)), len(tiles))
+    _tell(tiles)
     tiles = [_look_into(part, warnings, faults) for part in tiles]
     area = faults.gather(lambda: _polygons(survey, "area", grid, warnings))
     excluded = faults.gather(lambda: _polygons(survey, "exclude", grid, warnings))
@@ -120,6 +120,20 @@ def open_survey(survey: Survey) -> OpenSurvey:
     faults.raise_any()
     check_kept(survey, (f for p in passes for f in p.files))
     return OpenSurvey(survey, grid, tuple(passes), tuple(dict.fromkeys(warnings)), area)
+
+
+def _tell(tiles: list[tuple[Tile, ...]]) -> None:
+    """Say what the first look does: on large mosaics it takes seconds."""
+    every = [tile for part in tiles for tile in part]
+    megapixels = sum(tile.window.height * tile.window.width for tile in every) / 1e6
+    log.info(
+        "first look at %s (%.3g megapixels) and %s: fill, what the numbers are, gains, geometry",
+        _counted(len(every), "tile"), megapixels, _counted(len(tiles), "navigation file"),
+    )  # fmt: skip
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _look_into(tiles: tuple[Tile, ...], warnings: list[str], faults: _Faults) -> tuple[Tile, ...]:
@@ -180,7 +194,18 @@ def _is_product(survey: Survey, path: Path) -> bool:
 
 
 def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:
-    """Refuse an output folder in which a product would replace an input."""
+    """Refuse an output folder in which a product would replace an input.
+
+    Parameters
+    ----------
+    survey : Survey
+    inputs : iterable of Path
+
+    Raises
+    ------
+    InputError
+        Names the input.
+    """
     for path in sorted({*inputs, survey.path}):
         if _is_product(survey, path):
             raise InputError(f"{path}: a product of that name would replace this input; move one")

@@ -27,6 +27,7 @@ from sasmap.survey.navigation import Track
 from sasmap.survey.tiles import Amplitude, Tile, gather
 
 Side = Literal["port", "starboard"]
+# Pixels a side of the dask chunks of a lazy array: 8 MB of double precision.
 CHUNK = 1024
 
 ATTRIBUTES = {
@@ -136,7 +137,19 @@ def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> d
 
 
 def open_lazily(sonar_pass: SonarPass, grid: CellGrid) -> xr.DataArray:
-    """Open a pass as a lazy array on its first tile's lattice, or on a square one of its own."""
+    """Open a pass as a lazy array on its first tile's lattice, see :func:`clip_lattice`.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    grid : CellGrid
+        Its CRS is that of the coordinates.
+
+    Returns
+    -------
+    DataArray (y, x)
+        As :func:`sasmap.open_pass` describes it.
+    """
     lattice = clip_lattice(sonar_pass.tiles[0], grid)
     return _lazy(sonar_pass, grid.crs, lattice, _extent(sonar_pass, lattice))
 
@@ -220,7 +233,18 @@ def _array(
 
 
 def tiles_of_cells(sonar_pass: SonarPass, grid: CellGrid) -> dict[Cell, tuple[Tile, ...]]:
-    """Return the tiles of a pass that may show each cell, in order of precedence."""
+    """Find the tiles of a pass that may show each cell.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    grid : CellGrid
+
+    Returns
+    -------
+    dict of Cell to tuple of Tile
+        In order of precedence; cells without a tile are absent.
+    """
     met: dict[Cell, tuple[Tile, ...]] = {}
     for tile in sonar_pass.tiles:
         for cell in grid.met_by(tile, sonar_pass.reach):

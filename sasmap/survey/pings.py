@@ -1,6 +1,7 @@
-"""Pings that cannot be: positions and altitudes that leave their neighbours, gaps, wrong order.
+"""Implausible pings: outliers of position and altitude, gaps, steps, rows out of order.
 
-A few are mended from their neighbours and said; more are refused. Rows are those of the file.
+A few are interpolated from their neighbours, with a warning; more are refused. Rows are counted as
+in the file.
 """
 
 from __future__ import annotations
@@ -28,9 +29,17 @@ TO_SD = 1.4826
 MOST_BAD, LONGEST_GAP = 0.1, 10
 # Pings below which medians say nothing.
 FEWEST = 12
-# A step of altitude between two pings that no floor makes: a fraction of the median altitude, and
-# steeper than 45 degrees.
-CLIFF = 0.5
+# A step of altitude between two pings that no floor makes: a fraction of the median altitude that
+# heights would be wrong by, steeper than 45 degrees, and so much that it lasts.
+CLIFF = 0.2
+# A step across the track that lasts: metres, ping spacings, and standard deviations of the scatter
+# across the track. A range of ten metres is wrong by a twentieth of it.
+ASIDE, ASIDE_SPACINGS, ASIDE_SIGMAS = 0.5, 2.0, 8.0
+# Ping spacings beyond which a step is the way to another line.
+FARTHEST_ASIDE = 20.0
+# Rounded positions: the step of the numbers, m, that matters beside ranges of ten metres, the share
+# of pings at which the numbers then leave a straight line by half of it.
+ROUNDED, BENT = 0.25, 0.1
 # Out of order: the median step over the distance to the nearest ping, and over the track's extent.
 # In order it is about 1 (jitter of three spacings: 5); shuffled, a third of the extent.
 DISORDER, WIDE = 10.0, 0.05
@@ -53,7 +62,7 @@ class Pings(NamedTuple):
 
 
 def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
-    """Mend what a few pings have wrong; refuse what cannot be mended.
+    """Interpolate the outliers and gaps of a few pings; refuse what cannot be mended.
 
     Parameters
     ----------
@@ -76,6 +85,7 @@ def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
     pings = _filled(pings, warnings)
     pings = _without_spikes(pings, warnings)
     _check_cliffs(pings, warnings)
+    _check_jumps(pings, warnings)
     return pings, warnings
 
 
@@ -218,16 +228,83 @@ def _from_either_side(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatAr
 
 def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
     """Name steps of altitude that last, and that no sea floor makes between two pings."""
-    step = np.abs(np.diff(pings.altitude))
+    limit = CLIFF * float(np.median(pings.altitude))
     along = np.hypot(np.diff(pings.x), np.diff(pings.y))
-    at = np.flatnonzero((step > CLIFF * float(np.median(pings.altitude))) & (step > along))
+    step = np.abs(np.diff(pings.altitude))
+    at = np.flatnonzero((step > limit) & (step > along))
+    at = at[[abs(_lasting(pings.altitude, int(k))) > limit for k in at]] if at.size else at
     if not at.size:
         return
     before, after = pings.altitude[at[0]], pings.altitude[at[0] + 1]
     warnings.append(
         f"{pings.path}: {_named(pings, at + 1)}: altitude goes from {before:.3g} m to {after:.3g} "
-        "m from one ping to the next: heights there are as wrong as it is; correct the file"
+        "m from one ping to the next: A_H is wrong by as much there; correct the file"
     )
+
+
+def _lasting(values: FloatArray, k: int) -> float:
+    """How much the median of the pings after ping k differs from that of those up to it."""
+    after, before = values[k + 1 : k + 2 + HALF], values[max(k - HALF, 0) : k + 1]
+    return float(np.median(after) - np.median(before))
+
+
+def _check_jumps(pings: Pings, warnings: list[str]) -> None:
+    """Name steps across the track that last: where navigation was corrected to another fix."""
+    width = 2 * HALF + 2
+    if pings.x.size < max(FEWEST, width):
+        return
+    x, y = (np.lib.stride_tricks.sliding_window_view(v, width) for v in (pings.x, pings.y))
+    # course of the pings before the step and after it, both without the step itself
+    dx, dy = (v[:, HALF] - v[:, 0] + v[:, -1] - v[:, HALF + 1] for v in (x, y))
+    length = np.hypot(dx, dy)
+    step = x[:, HALF + 1] - x[:, HALF], y[:, HALF + 1] - y[:, HALF]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        aside = np.abs(step[0] * dy - step[1] * dx) / length
+    every = np.hypot(np.diff(pings.x), np.diff(pings.y))
+    spacing = float(np.median(every[every > 0])) if (every > 0).any() else 0.0
+    scatter = TO_SD * float(np.nanmedian(aside)) if np.isfinite(aside).any() else 0.0
+    limit = max(ASIDE, ASIDE_SPACINGS * spacing, ASIDE_SIGMAS * scatter)
+    # a turn has a longer step than its neighbours nowhere; a new line is parted elsewhere
+    found = (aside > limit) & (length > spacing * HALF) & (aside < FARTHEST_ASIDE * spacing)
+    at = np.flatnonzero(found) + HALF
+    if not at.size:
+        return
+    warnings.append(
+        f"{pings.path}: {_named(pings, at + 1)}: position steps {aside[at[0] - HALF]:.1f} m across "
+        "the track and stays there: ranges before or after it are wrong by as much; smooth the "
+        "track"
+    )
+
+
+def rounding_of(values: FloatArray) -> float:
+    """Step to which positions in one coordinate were rounded, in its unit.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        As the file has them, in track order.
+
+    Returns
+    -------
+    float
+        A power of ten or, of single-precision numbers, their resolution; 0 where numbers follow a
+        line more closely than such a step, or are finer.
+    """
+    gaps = np.diff(np.unique(values))
+    # sums of decimals differ in the last bits of double precision, which is no step
+    gaps = gaps[gaps > 1e-12 * np.abs(values).max()]
+    if values.size < FEWEST or not gaps.size:
+        return 0.0
+    step = float(gaps.min())
+    decimal = abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3
+    single = values.astype(np.float32)
+    coarse = bool((single == values).all()) and step >= 0.99 * np.spacing(np.abs(single).max())
+    if not (decimal or coarse):
+        return 0.0
+    if not decimal:  # fixes that are held, a whole step apart, are no rounding
+        values = values[np.concatenate([[True], np.diff(values) != 0])]
+    bent = np.abs(np.diff(values, n=2)) > 0.5 * step
+    return step if bent.sum() > BENT * values.size else 0.0
 
 
 def _named(pings: Pings, at: NDArray[np.intp]) -> str:

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 from sasmap.errors import InputError, check_file
 from sasmap.survey.cells import CellGrid
 
+# Largest polygon file that is read, bytes: GDAL holds all of it in memory.
 MAX_BYTES = 2**27
 GEOPACKAGE = b"SQLite format 3\0"
 WGS84 = "OGC:CRS84"
@@ -49,7 +50,18 @@ def read_polygons(path: Path, grid: CellGrid, expected: str) -> BaseGeometry:
 
 
 def on_tiles(area: BaseGeometry, grid: CellGrid) -> bool:
-    """Whether an area meets the rectangle of all tiles."""
+    """Tell whether an area meets the rectangle of all tiles.
+
+    Parameters
+    ----------
+    area : shapely geometry
+        In the survey's CRS.
+    grid : CellGrid
+
+    Returns
+    -------
+    bool
+    """
     width, height = grid.columns * grid.size, grid.rows * grid.size
     whole = shapely.box(grid.left, grid.top - height, grid.left + width, grid.top)
     return bool(area.intersects(whole))

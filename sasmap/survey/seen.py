@@ -1,4 +1,4 @@
-"""Whether the navigation can have seen the tiles, and which of its lines did."""
+"""Whether the sonar can have seen the tiles from its track, and from which line."""
 
 from __future__ import annotations
 
@@ -141,11 +141,22 @@ def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool) -> str:
             "passes abeam of it within the range a sonar at that altitude can see"
         )
     other = "port" if sonar_pass.sides == ("starboard",) else "starboard"
-    return f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}"
+    return (
+        f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}: "
+        "correct side:, or the navigation's rows if they run against time"
+    )
 
 
 def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None:
     """Refuse altitudes from which no sonar sees the ranges that the tiles have; name doubtful ones.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    crs : str
+        The survey's.
+    warnings : list of str
+        Is added to.
 
     Raises
     ------
@@ -178,7 +189,18 @@ def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None
 
 
 def shows_floor(sonar_pass: SonarPass, tile: Tile, crs: str) -> bool:
-    """Whether a pass shows a pixel of sea floor on a tile.
+    """Tell whether a pass shows a pixel of sea floor on a tile.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    tile : Tile
+    crs : str
+        The survey's.
+
+    Returns
+    -------
+    bool
 
     Raises
     ------

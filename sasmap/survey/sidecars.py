@@ -1,7 +1,7 @@
-"""Files beside a tile that change it in other programs, and that are not read here.
+"""Files beside a tile that other programs read along with it, and that are not read here.
 
-GDAL would follow them, and a hostile one leads it to the network; what they say is named instead,
-with the command that bakes it into the tile.
+GDAL would follow them, and a hostile one can lead it to the network; they are named instead, with
+the command that writes what they say into the tile.
 """
 
 from __future__ import annotations
@@ -21,7 +21,19 @@ MOST_BYTES = 2**20
 
 
 def beside(path: Path, endings: tuple[str, ...]) -> list[Path]:
-    """Return the files beside a tile that have its name and one of some endings, in any case."""
+    """Find the files beside a tile that have its name and another ending.
+
+    Parameters
+    ----------
+    path : Path
+        Of the tile.
+    endings : tuple of str
+        In lower case; files with the same ending in upper case are found too.
+
+    Returns
+    -------
+    list of Path
+    """
     found = []
     for ending in endings:
         for name in (f"{path.stem}{ending}", f"{path.name}{ending}"):

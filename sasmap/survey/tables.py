@@ -1,7 +1,7 @@
-"""Tables of text as people and programs write them, read to columns of numbers.
+"""Text tables as people and programs write them, read to columns of numbers.
 
-pandas reads the cells; what it would mend without a word (surplus cells, two columns of one name)
-is refused here, by the row as a person sees it in the file: the first line is row 1.
+pandas reads the cells; what it would repair silently (surplus cells, two columns of one name) is
+refused here, with the row as a person sees it in the file: the first line is row 1.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import pandas as pd
 from sasmap.errors import InputError, check_file
 from sasmap.survey.lattice import FloatArray
 
+# Largest table that is read, bytes: about ten million pings.
 MAX_BYTES = 2**29
 # Marks between cells; a header without any of them is separated by spaces.
 MARKS = ",;\t|"
@@ -30,6 +31,10 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "*", "?"
 UNITS = frozenset(
     ("m", "metre", "metres", "meter", "meters", "deg", "degree", "degrees", "degt", "°", "wgs84")
 )
+# Metres with a remark on what they are above.
+_METRES_ABOVE = re.compile(r"^(m|met(er|re)s?) (above|over|from) ")
+# A thousands mark between digits: blanks of several widths and apostrophes.
+_THOUSANDS = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(\D|$))")
 _UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
 
@@ -101,7 +106,7 @@ class Table:
                 "expected one; delete or rename the others, or choose by columns:"
             )
         unit = self.units[places[0]].lower()
-        if unit and unit not in UNITS:
+        if unit and unit not in UNITS and not _METRES_ABOVE.match(unit):
             raise InputError(
                 f"{self.path}: row {self.head_row}: {name} in {unit!r}: expected metres (degrees "
                 "for longitude, latitude); convert it"
@@ -121,6 +126,7 @@ class Table:
 
 def _point(given: str) -> str:
     """Write a number with a decimal point: of commas and points, the last kind is one."""
+    given = _THOUSANDS.sub("", given)
     comma, point = given.rfind(","), given.rfind(".")
     if comma < 0:
         return given.replace("\u2212", "-")
@@ -149,13 +155,26 @@ def read_table(path: Path, wanted: frozenset[str]) -> Table:
     head, mark = _find_header(lines, wanted)
     head_row, names = lines[head][0], _split(lines[head][1], mark)
     body = lines[head + 1 :]
+    below = _units_below(body, mark, len(names))
+    if below:
+        body = body[1:]
     if len(body) < 2:
         raise InputError(f"{path}: expected at least two pings, got {len(body)}")
     cells = _cells(path, body, mark, len(names))
     header, units = zip(*(_name_and_unit(name) for name in names), strict=True)
+    if below:
+        units = tuple(given or more for given, more in zip(units, below, strict=True))
     full = [" ".join(name.lower().split()) for name in names]
     rows = [row for row, _ in body]
     return Table(path, list(header), full, list(units), head_row, rows, cells, mark)
+
+
+def _units_below(body: list[tuple[int, str]], mark: str, width: int) -> list[str]:
+    """Units that stand in a row of their own below the header; empty without such a row."""
+    cells = [c.strip().strip("[]()").lower() for c in _split(body[0][1], mark)] if body else []
+    if len(cells) != width or not any(cells) or any(re.search(r"\d", cell) for cell in cells):
+        return []
+    return cells if set(cells) & UNITS else []
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:

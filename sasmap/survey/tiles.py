@@ -7,6 +7,9 @@ import hashlib
 import logging
 import os
 import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +20,7 @@ import rasterio
 import rasterio.windows
 import tifffile
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError  # GDAL's errors, which some of rasterio lets through
 
 from sasmap.errors import InputError
 from sasmap.settings.survey import expanded
@@ -41,7 +45,11 @@ GDAL_OPTIONS = {
     "GDAL_HTTP_TIMEOUT": "1",
     "GDAL_PAM_ENABLED": "NO",
 }
+# A tile without georeference is refused in a line of our own.
+warnings.filterwarnings("ignore", category=rasterio.errors.NotGeoreferencedWarning)
+# Largest block that is decoded, bytes: each worker holds one.
 MAX_BLOCK_BYTES = 2**29
+# Pixels' bytes over the file's that no honest file exceeds: deflate packs at most 1032 to 1.
 MAX_EXPANSION = 2000.0
 
 
@@ -116,6 +124,25 @@ def _outline_in(tile: Tile, crs: str) -> tuple[NDArray[np.float64], NDArray[np.f
     return transform_points(tile.lattice.crs, crs, x, y)
 
 
+@contextmanager
+def open_geotiff(path: Path, **options: str) -> Iterator[rasterio.DatasetReader]:
+    """Open a GeoTIFF and nothing beside it.
+
+    Parameters
+    ----------
+    path : Path
+    **options : str
+        Further options of GDAL.
+
+    Raises
+    ------
+    rasterio.errors.RasterioIOError
+        Where it cannot be opened.
+    """
+    with rasterio.Env(**GDAL_OPTIONS, **options), rasterio.open(path, driver="GTiff") as source:
+        yield source
+
+
 def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) -> Tile:
     """Open a tile's header and check that the tile can be used.
 
@@ -145,7 +172,7 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
     if not path.is_file():
         raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
     try:
-        with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path, driver="GTiff") as source:
+        with open_geotiff(path) as source:
             check_bands(path, source)
             crs = checked_crs(path, source, geographic)
             _check_blocks(path, source)
@@ -156,7 +183,7 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
                 dtype=source.dtypes[0],
                 kind=kind,
             )
-    except rasterio.errors.RasterioIOError:
+    except (rasterio.errors.RasterioIOError, CPLE_BaseError):
         raise InputError(f"{path}: not a GeoTIFF that can be opened") from None
 
 
@@ -254,12 +281,29 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
 
 
 def read_numbers(tile: Tile, window: Window) -> Amplitude:
-    """Read a window's numbers as stored, scale and offset applied; NaN where there is none."""
+    """Read a window's values before they are converted to amplitude.
+
+    Parameters
+    ----------
+    tile : Tile
+    window : Window
+        Pixels of the tile; must lie inside it.
+
+    Returns
+    -------
+    ndarray (height, width)
+        As stored, scale and offset applied; NaN for nodata, masked, fill and infinite values.
+
+    Raises
+    ------
+    OSError
+        Where a block cannot be decoded.
+    """
     area = rasterio.windows.Window(window.column, window.row, window.width, window.height)
     kind = np.dtype(tile.dtype)
     target = np.float64 if kind.itemsize > 4 or kind in (np.int32, np.uint32) else np.float32
     try:
-        with rasterio.Env(**GDAL_OPTIONS), rasterio.open(tile.path, driver="GTiff") as source:
+        with open_geotiff(tile.path) as source:
             raw = source.read(1, window=area)
             missing = source.read_masks(1, window=area) == 0
             if source.nodata is not None:  # a mask of the file's own hides its nodata value
@@ -344,15 +388,34 @@ def _copy_nearest(tile: Tile, lattice: Lattice, window: Window, mosaic: Amplitud
 
 
 def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+        Hexadecimal.
+    """
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def find_tiles(folder: Path, pattern: str) -> list[Path]:
-    """Return the files that a glob names, sorted; a relative one starts from the folder.
+    """Find the files that a glob pattern names.
 
-    A name without wildcards is returned as it is, so that its absence can be told.
+    Parameters
+    ----------
+    folder : Path
+        Where relative patterns start.
+    pattern : str
+
+    Returns
+    -------
+    list of Path
+        Sorted. A name without wildcards is returned as it is, so that a missing file is reported.
     """
     pattern = str(expanded(pattern))
     if not glob.has_magic(pattern) or (folder / pattern).is_file():

@@ -1,39 +1,142 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from sasmap.ripples import RippleSettings, estimate
+from sasmap.ripples.detection import Unclear, Wave, find_waves
+from sasmap.ripples.estimation import second_system
+from sasmap.ripples.image import as_image
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.spectra import flattened
+from sasmap.ripples.summary import summarise
 from tests.helpers import clip_of
 
+BOUNDS = (0.05, 5.0)
 
-def image(intensity, seed=0, looks=1):
+
+def image(intensity, seed=0, looks=1, grain=0.0):
     """A clip of speckle over an intensity (rows, columns)."""
     rng = np.random.default_rng(seed)
-    speckle = rng.exponential(1.0, (looks, *intensity.shape)).mean(axis=0)
+    field = rng.normal(size=(2 * looks, *intensity.shape))
+    if grain:
+        field = gaussian_filter(field, (0, grain, grain), mode="wrap")
+    speckle = (field**2).mean(axis=0) / field.var()
     reach = 30 + 0.05 * np.arange(intensity.shape[1])
     return clip_of(np.sqrt(intensity * speckle), reach, 6.0, 0.05)
 
 
-def wave(turn, contrast, waves=8, size=300):
-    row, column = np.indices((size, size))
+def wave(turn, contrast, waves=8, size=300, forks=0, seed=0):
+    row, column = np.indices((size, size)) - size / 2
     angle = 2 * np.pi * waves / size * (column * np.cos(turn) + row * np.sin(turn))
+    rng = np.random.default_rng(seed)
+    for _ in range(forks):
+        down, right = rng.uniform(-0.5, 0.5, 2) * size
+        angle = angle + rng.choice([-1, 1]) * np.arctan2(row - down, column - right)
     return 1 + contrast * np.sin(angle)
+
+
+def found_in(clip):
+    return find_waves(as_image(clip), BOUNDS)
 
 
 @pytest.mark.parametrize("turn", [-1.2, -0.5, 0.0, 0.8])
 def test_weak_ripples_are_found_whatever_their_direction(turn):
-    posterior = estimate(image(wave(turn, 0.1)), RippleSettings(draws=100), rng=1)
+    found = found_in(image(wave(turn, 0.1)))
+    assert found.probability > 0.9
+    east, north = found.waves[0].vector
+    assert abs(np.hypot(east, north) / (8 / (300 * 0.05)) - 1) < 0.05
+    assert abs((np.arctan2(-north, east) - turn + np.pi / 2) % np.pi - np.pi / 2) < 0.05
+
+
+def test_what_is_found_is_estimated():
+    posterior = estimate(image(wave(-0.5, 0.1)), RippleSettings(draws=100), rng=1)
     assert posterior.probability > 0.9
     assert posterior.sampled
-    known = 8 / (300 * 0.05)
-    assert abs(float(posterior.mean.frequency) / known - 1) < 0.05
+    assert abs(float(posterior.mean.frequency) / (8 / (300 * 0.05)) - 1) < 0.05
+    assert (posterior.rippled > 0.5).mean() > 0.9
 
 
 def test_probability_grows_with_contrast():
-    settings = RippleSettings(draws=100)
-    found = [estimate(image(wave(0.3, c)), settings, rng=1).probability for c in (0, 0.02, 0.1)]
-    assert found[0] < 0.1
+    found = [found_in(image(wave(0.3, c))).probability for c in (0, 0.02, 0.1)]
+    assert 0 < found[0] < 0.1
     assert found[0] <= found[1] <= found[2]
+    assert found[2] > 0.99
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_four_waves_are_found_and_where_crests_fork(seed):
+    assert found_in(image(wave(0.4 * seed - 0.6, 0.2, waves=4), seed)).probability > 0.5
+    # a fork in every square of a wavelength
+    forked = wave(0.4 * seed - 0.6, 0.7, waves=10, forks=100, seed=seed)
+    assert found_in(image(forked, seed)).probability > 0.5
+
+
+def test_a_patch_is_found_with_its_own_wave():
+    inside = np.zeros((400, 400), bool)
+    inside[220:370, 60:230] = True
+    floor = np.where(inside, wave(0.5, 0.6, waves=16, size=400), 1.0)
+    found = found_in(image(floor))
+    assert found.probability > 0.9
+    frequency = np.hypot(*found.waves[0].vector)
+    assert abs(frequency / (16 / (400 * 0.05)) - 1) < 0.08
+
+
+def test_both_of_two_crossing_sets_are_found():
+    floor = wave(-0.3, 0.3, waves=8) + wave(0.7, 0.3, waves=11) - 1
+    waves = [w for w in found_in(image(floor)).waves if w.probability > 0.5]
+    frequencies = {round(float(np.hypot(*w.vector)) * 15) for w in waves}
+    assert {8, 11} <= frequencies
+
+
+def furrows(size=300):
+    """Two trawls of two furrows each."""
+    row, column = np.indices((size, size))
+    floor = np.ones((size, size))
+    for place in (60, 110, 190, 255):
+        offset = 0.9 * column + 0.35 * row - place
+        floor *= 1 + 2 * np.exp(-0.5 * (offset / 4) ** 2)
+        floor *= 1 - 0.7 * np.exp(-0.5 * ((offset - 9) / 4) ** 2)
+    return floor
+
+
+def ribs(size=300):
+    """A hull with ribs and a shadow behind it."""
+    row, column = np.indices((size, size))
+    hull = (np.abs(row - 150) < 90) & (np.abs(column - 140) < 25)
+    floor = np.where(hull & (row % 12 < 5), 16.0, np.where(hull, 0.4, 1.0))
+    return np.where(np.roll(hull, 50, axis=1) & ~hull, 0.01, floor)
+
+
+def stones(size=300):
+    """Boulders with shadows."""
+    rng = np.random.default_rng(2)
+    floor = np.ones((size, size))
+    for row, column in rng.integers(5, size - 30, (40, 2)):
+        floor[row : row + 9, column : column + 6] = 9.0
+        floor[row : row + 9, column + 6 : column + 22] = 0.02
+    return floor
+
+
+def lines(size=300):
+    """Gain steps and correlated line noise between pings, slow bands over range."""
+    rng = np.random.default_rng(3)
+    noise = gaussian_filter1d(rng.normal(size=size), 2)
+    steps = np.cumsum((rng.random(size) < 0.03) * rng.normal(0, 0.3, size))
+    bands = gaussian_filter1d(rng.normal(size=size), 30)
+    gain = np.exp(0.2 * noise / noise.std() + steps)[:, None]
+    return gain * np.exp(0.3 * bands / bands.std())
+
+
+def smooth(size=300):
+    field = gaussian_filter(np.random.default_rng(4).normal(size=(size, size)), 9, mode="wrap")
+    return np.exp(0.6 * field / field.std())
+
+
+@pytest.mark.parametrize("floor", [furrows, ribs, stones, lines, smooth])
+@pytest.mark.parametrize("grain", [0.0, 1.0])
+def test_marks_things_gains_and_texture_are_no_ripples(floor, grain):
+    for seed in range(3):
+        assert not found_in(image(floor(), seed, grain=grain)).probability > 0.5
 
 
 def test_a_band_a_trend_and_lines_of_gain_are_no_ripples():
@@ -45,8 +148,67 @@ def test_a_band_a_trend_and_lines_of_gain_are_no_ripples():
         posterior = estimate(image(floor), rng=1)
         assert posterior.quality is Quality.NO_RIPPLES
         assert LeftOut.SAMPLING in posterior.left_out
+        assert 0 < posterior.probability < 0.1
+        assert posterior.reason == ""
 
 
-def test_ripples_seen_along_their_crests_are_not_identifiable_or_unseen():
-    clip = image(wave(np.pi / 2, 0.5))
-    assert estimate(clip, rng=1).quality is Quality.NOT_IDENTIFIABLE
+def unclear(clip, settings=None):
+    posterior = estimate(clip, settings, rng=1)
+    assert posterior.quality is Quality.NOT_IDENTIFIABLE
+    assert np.isnan(posterior.probability)
+    return posterior.reason
+
+
+def test_where_a_clip_cannot_tell_the_probability_is_missing_and_words_say_why():
+    assert unclear(image(wave(np.pi / 2, 0.5))) == Unclear.ALONG
+    assert unclear(image(wave(0.3, 0.9, waves=2.5))) == Unclear.WAVES
+    assert unclear(image(wave(0.3, 0.5)), RippleSettings(frequency=(0.01, 0.1))) == Unclear.WAVES
+    assert unclear(image(wave(0.3, 0.5)), RippleSettings(frequency=(6, 9))) == Unclear.PIXELS
+
+
+def test_ripples_seen_nearly_along_their_crests_are_not_identifiable():
+    assert unclear(image(wave(np.pi / 2 - 0.03, 0.6, waves=20))) == Unclear.ALONG
+
+
+def test_gains_of_pings_are_taken_off_whatever_the_heading():
+    rng = np.random.default_rng(0)
+    clip = image(np.exp(rng.normal(0, 0.5, 200))[:, None] * np.ones((200, 200)))
+    flat, gains = flattened(as_image(clip))
+    assert np.abs(flat.mean(axis=1)).max() < 0.02
+    assert gains.std() > 0.2
+    turned = clip_of(clip.amplitude.T, 30 + 0.05 * np.arange(200), 6.0, 0.05)
+    look = np.full(turned.x.shape, 0.0)  # northwards: pings are columns
+    turned = type(turned)(
+        turned.amplitude, turned.x, turned.y, turned.ground_range, turned.altitude, look, 0.05
+    )
+    flat, _ = flattened(as_image(turned))
+    assert np.abs(flat.mean(axis=0)).max() < 0.02
+
+
+def test_a_second_system_is_estimated_and_does_not_spoil_the_first():
+    settings = RippleSettings(draws=400)
+    first, second = wave(-0.3, 0.3, waves=8), wave(0.7, 0.3, waves=11)
+    both = estimate(image(first + second - 1), settings, rng=1)
+    alone = estimate(image(first), settings, rng=1)
+    assert not alone.second.sizes
+    assert abs(float(both.mean.frequency) * 15 / 8 - 1) < 0.01
+    assert abs(float(both.second.frequency.mean()) * 15 / 11 - 1) < 0.01
+    assert abs(float(both.second.azimuth.mean()) % 180 - (90 + np.degrees(0.7))) < 1
+    heights = [float(p.mean.height) for p in (both, alone)]
+    assert abs(heights[0] - heights[1]) < 2 * float(alone.sd.height)
+    kept = summarise(both)
+    assert kept.second_mean[0] == float(both.second.frequency.mean())
+    assert np.isnan(summarise(alone).second_mean[0])
+
+
+def a_wave(vector, whole=True):
+    return Wave(np.array(vector), 5.0, 4.0, 1.0, whole)
+
+
+def test_bends_parts_and_overtones_are_no_second_system():
+    first = np.array([1.0, 0.0])
+    assert second_system([a_wave([0.95, 0.3])], first) is None
+    assert second_system([a_wave([0.5, 0.8], whole=False)], first) is None
+    assert second_system([a_wave([2.02, 0.05])], first) is None
+    found = second_system([a_wave([0.95, 0.3]), a_wave([-0.5, 0.8])], first)
+    np.testing.assert_array_equal(found.vector, [-0.5, 0.8])

@@ -29,6 +29,10 @@ PRODUCTS = (
     "sediment_class.tif",
     "sediment_confidence.tif",
     "sediment_boundaries.gpkg",
+    "ripple_steepness.tif",
+    "ripple_cells.gpkg",
+    "ripple_cells.csv",
+    "mosaic.tif",
 )
 
 
@@ -102,7 +106,9 @@ def test_manifest_says_what_ran_and_what_was_left_out(sample):
         "near/near_r0_c0.tif", "near.csv", "far/far_r0_c0.tif", "far.csv",
     }  # fmt: skip
     assert manifest["looks_computed"] == 12
-    assert set(manifest["seconds"]) == {"check", "ripples", "products", "sediments", "report"}
+    assert set(manifest["seconds"]) == {
+        "check", "ripples", "products", "sediments", "mosaic", "report",
+    }  # fmt: skip
     levels = [c["intensity_dB_over_first"] for c in manifest["sediment_classes"]]
     np.testing.assert_allclose(levels, [0.0, 4.56, 7.98], atol=0.3)  # mud, sand, gravel
     assert manifest["settings"]["ripples"]["chains"] == 4
@@ -163,13 +169,38 @@ def test_interrupted_and_resumed_gives_the_same_bytes(sample, tmp_path, kind):
         time.sleep(0.02)
     process.send_signal(kind)
     status = process.wait(timeout=200)
-    assert status == (130 if kind == signal.SIGINT else -signal.SIGKILL)
+    assert status == (-signal.SIGKILL if kind == signal.SIGKILL else 130)
+    ended = "ended: interrupted" in (tmp_path / "sasmap.log").read_text(encoding="utf-8")
+    assert ended == (kind == signal.SIGINT)
     assert not list(tmp_path.glob("*.tif"))
     survey = sasmap.load_survey(SAMPLE / "survey.yaml")
     resumed = run_survey(survey, output=tmp_path, workers=2)
     assert resumed.kept >= 3
     assert resumed.kept + resumed.computed == 12
     assert products(tmp_path) == products(output)
+
+
+def test_a_batch_system_that_ends_a_run_leaves_it_resumable_and_says_so(tmp_path):
+    command = [
+        sys.executable, "-m", "sasmap", "run", str(SAMPLE / "survey.yaml"),
+        "--output", str(tmp_path), "--workers", "1",
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
+    path = tmp_path / "sasmap.log"
+    deadline = time.monotonic() + 200
+    while not (path.exists() and "looks at them" in path.read_text(encoding="utf-8")):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.terminate()
+    _, said = process.communicate(timeout=200)
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "sasmap: terminated; run again to go on from here"
+    last = path.read_text(encoding="utf-8").splitlines()[-1]
+    assert last.endswith("ended: terminated; run again to go on from here")
+    assert not (tmp_path / ".sasmap" / "lock").exists()
 
 
 def run(path, *options):

@@ -1,9 +1,21 @@
+import json
+
+import numpy as np
+import pytest
+
+from sasmap.ripples.derived import Derived
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.run.store import Store, code_version, digest
 
 DONE = Summary(
-    Quality.GOOD, LeftOut.SHADOW | LeftOut.PHASE_FIELD, mean=(0.1 + 0.2, 1 / 3), azimuth=90.0
+    Quality.GOOD,
+    LeftOut.SHADOW | LeftOut.PHASE_FIELD,
+    mean=(0.1 + 0.2, 1 / 3),
+    azimuth=90.0,
+    coherence_length=float("inf"),
+    derived=Derived((1.5, 0.1), (0.1, 0.2, 0.3, 0.4)),
+    reason="too few waves in the window",
 )
 
 
@@ -15,6 +27,10 @@ def test_results_come_back_to_the_bit(tmp_path):
     assert repr(again) == repr(DONE)
     assert isinstance(again.quality, Quality)
     assert LeftOut.PHASE_FIELD in again.left_out
+    assert isinstance(again.derived, Derived)
+    assert again.reason == DONE.reason
+    assert np.isinf(again.coherence_length)
+    json.loads(store.path("ab12").read_text(), parse_constant=pytest.fail)  # no NaN
 
 
 def test_broken_results_count_as_unfinished(tmp_path):

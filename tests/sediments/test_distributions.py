@@ -148,3 +148,52 @@ def test_it_is_a_distribution_of_scipy():
     assert np.isinf(generalized_k.pdf(0.0, 0.4, 1.0))
     assert generalized_k.pdf(0.0, 0.6, 1.0) == 0
     assert generalized_k.logpdf(np.ones((2, 1)), [1.0, 2.0, 3.0], 0.5).shape == (2, 3)
+
+
+def total(law, x, *parameters):
+    *shapes, loc, scale = parameters
+    return float(law.logpdf(x, *shapes, loc=loc, scale=scale).sum())
+
+
+@pytest.mark.parametrize(
+    ("law", "shapes", "held"),
+    [
+        (generalized_k, (2.0, 1.0), {"f0": 2.0}),
+        (generalized_k, (2.0, 1.0), {"fkappa": 1.0}),
+        (generalized_k, (2.0, 1.0), {"fscale": 3.0, "floc": 0}),
+        (generalized_k, (2.0, 1.0), {"fix_nu": 2.0, "f1": 1.0}),
+        (k_distribution, (2.0,), {"f0": 2.0}),
+        (k_distribution, (2.0,), {"fscale": 3.0}),
+    ],
+)
+def test_a_held_parameter_is_held_and_the_others_are_the_likeliest(law, shapes, held):
+    x = law.rvs(*shapes, scale=3.0, size=1500, random_state=4)
+    found, free = law.fit(x, **held), law.fit(x)
+    names = {"f0": 0, "fix_nu": 0, "f1": 1, "fkappa": 1, "fscale": len(found) - 1, "floc": -2}
+    for name, value in held.items():
+        assert found[names[name]] == value
+    best = total(law, x, *found)
+    assert total(law, x, *shapes, 0.0, 3.0) <= best + 1e-6  # the truth holds what is held as well
+    assert best <= total(law, x, *free) + 1e-3
+    loose = {k for k in range(len(found)) if k not in {names[n] % len(found) for n in held}}
+    for k in loose - {len(found) - 2}:
+        for step in (0.97, 1.03):
+            moved = [v * step if j == k else v for j, v in enumerate(found)]
+            assert total(law, x, *moved) < best
+
+
+def test_a_keyword_that_is_not_known_is_refused():
+    x = k_distribution.rvs(2.0, size=50, random_state=1)
+    for options in ({"f1": 1.0}, {"fshape": 1.0}, {"scale": 2.0}, {"optimizer": None}):
+        with pytest.raises(TypeError, match="unexpected keyword"):
+            k_distribution.fit(x, **options)
+    with pytest.raises(TypeError, match="starting values"):
+        generalized_k.fit(x, 2.0, 1.0)
+    with pytest.raises(TypeError, match="two values"):
+        generalized_k.fit(x, f0=2.0, fnu=2.0)
+    with pytest.raises(ValueError, match="nothing to fit"):
+        k_distribution.fit(x, f0=2.0, fscale=1.0)
+    with pytest.raises(ValueError, match="moments"):
+        generalized_k.fit(x, method="MM", f0=2.0)
+    with pytest.raises(ValueError, match="amplitudes begin there"):
+        generalized_k.fit(x, floc=1.0)

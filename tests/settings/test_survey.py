@@ -35,6 +35,7 @@ def test_defaults_and_paths(tmp_path):
         ({"name": None}, "name: missing"),
         ({"passes": []}, "passes: expected at least 1 entries"),
         (with_pass(side="left"), "passes[0].side: expected 'port', 'starboard' or 'both'"),
+        (with_pass(date="May 2024"), "passes[0].date: expected a date such as 2024-05-01"),
         (with_pass(tiles=[]), "passes[0].tiles: expected at least 1"),
         (with_pass(range="diagonal"), "passes[0].range"),
         ({"ripples": {"frequency": [3, 1]}}, "ripples.frequency: expected 0 <= lower < upper"),

@@ -35,6 +35,10 @@ def test_crest_rule_is_the_published_one():
     published = shadow_crest_rule(phase, reach, 4.83, FREQUENCY, 0.07)
     told = shadow_mask(phase, reach, 4.83, FREQUENCY, FREQUENCY, 0.07, "sine", "crest")
     assert (published != told).mean() < 2e-3
+    # from 0.72 of the ripples' slope on the rays are too low to reach every trough
+    begin = 4.83 / (0.7246 * 2 * np.pi * FREQUENCY * 0.07)
+    assert not told[reach < 0.99 * begin].any()
+    assert 0.05 < told[reach > begin + 4 / FREQUENCY].mean() < 0.5
 
 
 @pytest.mark.parametrize("rule", ["line-of-sight", "crest"])

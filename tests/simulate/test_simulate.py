@@ -195,12 +195,22 @@ def test_truth_files_and_boundaries(tmp_path):
         np.testing.assert_allclose(source.read(1), 0.06)
         assert source.units == ("m",)
     lines = json.loads((tmp_path / "truth" / "boundaries.geojson").read_text())["features"]
-    pairs = sorted((f["properties"]["left"], f["properties"]["right"]) for f in lines)
-    assert pairs == [("mud", "sand"), ("rock", "mud")] or len(pairs) == 2
-    for feature in lines:
-        x, y = np.array(feature["geometry"]["coordinates"]).T
-        assert ((x >= 500000 - 1e-3) & (x <= 500010 + 1e-3)).all()
-        assert ((y >= 3300000 - 0.06) & (y <= 3300008 + 0.06)).all()
+    found = {
+        (f["properties"]["left"], f["properties"]["right"]): np.subtract(
+            f["geometry"]["coordinates"], (500000, 3300000)
+        )
+        for f in lines
+    }
+    # of the mud only its western edge lies in the scene; the rock lies in the mud
+    assert len(lines) == 2
+    assert set(found) == {("mud", "sand"), ("rock", "mud")}
+    edge, outline = found["mud", "sand"], found["rock", "mud"]
+    np.testing.assert_allclose(edge[:, 0], 5, atol=1e-3)
+    np.testing.assert_allclose(np.sort(edge[[0, -1], 1]), (0, 8), atol=0.06)
+    np.testing.assert_allclose(outline[0], outline[-1], atol=1e-3)
+    length = np.hypot(*np.diff(outline, axis=0).T).sum()
+    assert length == pytest.approx(8, abs=0.01)
+    assert ((outline >= (6 - 1e-3, 3 - 1e-3)) & (outline <= (8 + 1e-3, 5 + 1e-3))).all()
 
 
 def test_same_scene_same_bytes_other_seed_other_speckle(tmp_path):

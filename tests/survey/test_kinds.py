@@ -8,6 +8,7 @@ are; ``refuse``, one line that holds the words.
 import io
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 import yaml
@@ -109,6 +110,13 @@ def k_speckle(shape):
     return (40 * np.sqrt(texture) * np.hypot(*COMPLEX)).astype("float32")
 
 
+WAVY = LEVEL * (1 + 0.4 * np.sin(np.arange(SIDE) / 6))
+
+
+def powered(gamma, level=LEVEL):
+    return np.minimum(255 * (level / 255) ** gamma + 0.5, 255).astype("uint8")
+
+
 def water(values):
     values = values.copy()
     values[:, :60] = RNG.rayleigh(2.0, (SIDE, 60)).astype(values.dtype)
@@ -171,6 +179,16 @@ def text(content, **keys):
     return write
 
 
+def rounded(folder):
+    back = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True)
+    x, y, altitude = track().T
+    longitude, latitude = back.transform(x, y)
+    rows = np.column_stack([np.round(longitude, 5), np.round(latitude, 5), altitude])
+    folder.text(rows_of(rows, head="longitude,latitude,altitude"))
+
+
+LATE = np.arange(NORTH.size)[:, None] >= 30
+EAST, ALTITUDE = np.arange(3) == 0, np.arange(3) == 2
 FAR_LINE = track(502000.0, NORTH[::-1])
 KINDS = [
     # what a tile's numbers are
@@ -218,6 +236,16 @@ KINDS = [
      tile(np.stack([SPECKLE, np.full_like(SPECKLE, 255)]),
           colorinterp=(ColorInterp.gray, ColorInterp.alpha))),
     ("grey as RGB", "same", (), tile(np.stack([SPECKLE] * 3), photometric="rgb")),
+    # nearly amplitude: only the shape of the logarithm tells
+    ("gamma 1.2", "name", ("a.tif", "gamma of about 1.2"), tile(powered(1.2))),
+    ("gamma 1.5", "name", ("a.tif", "gamma of about 1.5"), tile(powered(1.5))),
+    ("gamma 0.85, ripples", "name", ("a.tif", "compressed"), tile(powered(0.85, WAVY))),
+    ("K-distributed, shape 2, ripples", "same", (),
+     tile(k_speckle(2.0) * (1 + 0.4 * np.sin(np.arange(SIDE) / 6)).astype("float32"))),
+    ("LERC, lossy", "name", ("a.tif", "LERC"),
+     tile(SPECKLE.astype("float32"), compress="lerc", max_z_error=8)),
+    ("LERC, next to lossless", "same", (),
+     tile(SPECKLE.astype("float32"), compress="lerc", max_z_error=0.01)),
     # fill
     ("fill of -9999", "name", ("a.tif", "-9999", "-a_nodata"), tile(filled(-9999.0))),
     ("white fill", "name", ("a.tif", "255"), tile(filled(255, dtype="uint8"))),
@@ -268,6 +296,22 @@ KINDS = [
     ("one of two altitudes named", "same", (),
      text(rows_of(np.column_stack([track(), track()[:, 2] * 3.28]), head="x,y,alt (m),alt (ft)"),
           columns={"altitude": "alt (m)"})),
+    ("altitude that steps by a third", "name", ("nav.csv", "row 32"),
+     pings(np.where(LATE & ALTITUDE, 6.7, track()))),
+    ("track that steps aside", "name", ("nav.csv", "row 32", "1.3 m across"),
+     pings(track() + 1.3 * (LATE & EAST))),
+    ("rounded to five digits", "name", ("nav.csv", "latitude", "rounded"), rounded),
+    ("every fix held for two pings", "same", (), pings(np.repeat(track(), 2, axis=0))),
+    ("units in a row of their own", "same", (),
+     text(rows_of(track(), head="x,y,altitude\nm,m,m"))),
+    ("feet in a row of their own", "refuse", ("nav.csv", "'ft'"),
+     text(rows_of(track(), head="x,y,altitude\nm,m,ft"))),
+    ("unit with a remark", "same", (),
+     text(rows_of(track(), head="x,y,altitude (metres above seabed)"))),
+    ("thousands with blanks", "same", (),
+     text(rows_of(track(), ";", write=lambda v: f"{v:,.3f}".replace(",", "\u00a0")))),
+    ("thousands with apostrophes", "same", (),
+     text(rows_of(track(), ";", write=lambda v: f"{v:,.3f}".replace(",", "'")))),
     ("altitude in feet, not said", "doubt", ("nav.csv", "altitude"), pings(track(altitude=16.4))),
     ("first half last", "refuse", ("rows 2 to",), pings(np.roll(track(), 27, axis=0))),
     ("spaces and decimal commas", "same", (),

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import rasterio
+import tifffile
 from affine import Affine
 
 from sasmap.errors import InputError
@@ -190,3 +191,17 @@ def test_a_truncated_mask_is_refused(tmp_path, cut):
 def test_a_name_with_wildcards_that_exists_is_itself(tmp_path):
     (tmp_path / "a[1].tif").touch()
     assert find_tiles(tmp_path, "a[1].tif") == [tmp_path / "a[1].tif"]
+
+
+def test_damaged_geokeys_are_one_line(tmp_path):
+    """GDAL opens such a file and raises only when it is asked for its colours."""
+    path = write_tile(tmp_path / "a.tif", np.ones((40, 60), "uint8"), NORTH_UP)
+    with tifffile.TiffFile(path) as file:
+        tags = {tag.name: tag.offset for tag in file.pages[0].tags}
+    raw = bytearray(path.read_bytes())
+    raw[tags["PhotometricInterpretation"]] = 225  # a tag that nothing knows
+    raw[tags["ModelPixelScaleTag"] + 3] = 79  # no type of TIFF has that number
+    raw[tags["GeoAsciiParamsTag"] + 3] = 1
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match=r"a\.tif: not a GeoTIFF that can be opened"):
+        inspect_tile(path)

@@ -14,6 +14,8 @@ PINGS, SAMPLES = 5, 5
 # Samples of the transmitted pulse and what rings after it, as a share of the range; the share of
 # the range that altitude takes at most (a floor seen over less is none).
 PULSE, DEEPEST = 0.02, 0.8
+# Share of the mean amplitude below which levels are alike: 60 dB hold any water column.
+SMALLEST = 0.001
 # Samples to either side over which the step is taken.
 REACH = 12
 # Share of the rise from water to floor at which the floor begins.
@@ -40,7 +42,7 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
         amplitude begins to rise: a sonar that looks aside hears the floor straight below weakly.
     """
     length = min(s.shape[1] for s in samples)
-    stacked = np.mean([np.log1p(s[:, :length].astype(float)) for s in samples], axis=0)
+    stacked = np.mean([_logarithm(s[:, :length]) for s in samples], axis=0)
     level = scipy.ndimage.uniform_filter(stacked, (PINGS, SAMPLES))
     total = np.cumsum(level, axis=1)
     first, last = max(int(PULSE * length), REACH + 1), int(DEEPEST * length)
@@ -54,15 +56,38 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
     return np.asarray(smooth * spacing, float)
 
 
+def _logarithm(samples: NDArray[np.generic]) -> FloatArray:
+    """Logarithm of amplitude over its mean, with a floor that keeps zeros finite."""
+    values = samples.astype(float)
+    floor = SMALLEST * max(float(values.mean()), np.finfo(float).tiny)
+    return np.asarray(np.log1p(values / floor), float)
+
+
 def _onset(level: FloatArray, path: NDArray[np.int64], first: int) -> NDArray[np.int64]:
     """Last sample before the step that is hardly above the water column."""
     onset = path.copy()
     for k, step in enumerate(path):
-        water = float(np.median(level[k, first : max(step - REACH, first + 1)]))
+        water = _water(level[k], first, int(step))
         top = float(level[k, min(step + REACH, level.shape[1] - 1)])
-        quiet = np.flatnonzero(level[k, first : step + 1] < water + RISEN * (top - water))
+        risen = water + RISEN * np.maximum(top - water, 0.0)
+        quiet = np.flatnonzero(level[k, first : step + 1] < risen)
         onset[k] = first + quiet[-1] if quiet.size else step
     return onset
+
+
+def _water(level: FloatArray, first: int, step: int) -> FloatArray:
+    """Level of the water column from sample `first` to the step.
+
+    Gain that grows with range raises noise along with it: the level is taken over two thirds of the
+    column and goes on as it grew, linear in the logarithm of range.
+    """
+    third = max((step - REACH - first) // 3, 1)
+    near = float(np.median(level[first : first + third]))
+    far = float(np.median(level[first + third : first + 2 * third]))
+    place = np.log(np.arange(first, step + 1) + 0.5)
+    middle = np.log(first + (0.5 + np.arange(2)) * third)
+    slope = max((far - near) / float(middle[1] - middle[0]), 0.0)  # what rings down is no gain
+    return np.asarray(far + slope * np.maximum(place - middle[1], 0.0), float)
 
 
 def _best_path(score: FloatArray) -> NDArray[np.int64]:

@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from sasmap.errors import InputError, check_file
 from sasmap.survey.lattice import FloatArray
 
+# Largest recording that is read, bytes: all of its pings are held in memory.
 MAX_BYTES = 2**34
 EXPECTED = "expected a side-scan recording in XTF"
 # XTF's numbers (Triton, XTF file format X41): units of positions, kinds of channel, what range is.
 DEGREES, PORT, STARBOARD, GROUND_RANGE = 3, 1, 2, 2
 WGS84 = "EPSG:4326"
+# Pings below which a track cannot be checked (as for navigation files).
 FEWEST_PINGS = 12
+# Share of the range within which the transmitted pulse stands.
+PULSE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,8 @@ class Recording:
         Degrees, WGS 84.
     altitude : ndarray (n,)
         As recorded, m; zero where it was not.
+    pitch : ndarray (n,)
+        As recorded, degrees, nose up positive; zero where it was not.
     number : ndarray (n,)
         Place of each ping in the file.
     samples : dict of str to ndarray (n, samples)
@@ -40,16 +46,20 @@ class Recording:
         Range from one sample to the next, m.
     ground : bool
         Whether ranges are along the ground already.
+    warnings : tuple of str
+        What was odd about the file.
     """
 
     path: Path
     longitude: FloatArray
     latitude: FloatArray
     altitude: FloatArray
+    pitch: FloatArray
     number: NDArray[np.int64]
     samples: dict[str, NDArray[Any]]
     spacing: FloatArray
     ground: bool
+    warnings: tuple[str, ...] = ()
 
 
 def read_xtf(path: Path, crs: str | None) -> Recording:
@@ -73,14 +83,13 @@ def read_xtf(path: Path, crs: str | None) -> Recording:
         raise InputError(
             f"{path}: pyxtf is needed to read XTF: pip install 'sasmap[raw]'"
         ) from None
-    try:
-        header, packets = pyxtf.xtf_read(str(path), [pyxtf.XTFHeaderType.sonar])
-    except Exception as error:  # it raises whatever a broken file leads it to
-        told = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: {EXPECTED}: {type(error).__name__}: {told}") from None
-    pings = packets.get(pyxtf.XTFHeaderType.sonar, [])
+    header, pings, warnings = _pings(path, pyxtf)
     places = _channels(path, header)
-    kept = [k for k, ping in enumerate(pings) if len(ping.data) > max(places.values())]
+    kept = [
+        k
+        for k, ping in enumerate(pings)
+        if all(_at(ping, number) is not None for number in places.values())
+    ]
     if len(kept) < FEWEST_PINGS:
         raise InputError(f"{path}: {EXPECTED} of at least {FEWEST_PINGS} pings, got {len(kept)}")
     x, y = _positions(path, pings, kept)
@@ -94,15 +103,44 @@ def read_xtf(path: Path, crs: str | None) -> Recording:
         longitude,
         latitude,
         np.array([_altitude(pings[k]) for k in kept]),
+        np.array([float(pings[k].SensorPitch) for k in kept]),
         np.array(kept),
-        {side: _oriented(side, _stacked(pings, kept, at)) for side, at in places.items()},
+        _oriented({side: _stacked(pings, kept, at) for side, at in places.items()}),
         _spacing(path, pings, kept, next(iter(places.values()))),
         any(int(info.CorrectionFlags) == GROUND_RANGE for info in header.sonar_info),
+        tuple(warnings),
     )
 
 
+def _pings(path: Path, pyxtf: Any) -> tuple[Any, list[Any], list[str]]:
+    """Read the header and the sonar packets, up to where the file breaks off."""
+    index = path.with_suffix(".pyxtf_idx")
+    if index.exists():  # pyxtf would unpickle it, which runs whatever it holds
+        raise InputError(f"{index}: an index that can hold anything: remove it; none is needed")
+    pings: list[Any] = []
+    header = None
+    try:
+        packets = pyxtf.xtf_read_gen(str(path), [pyxtf.XTFHeaderType.sonar])
+        header = next(packets)
+        pings += packets
+    except Exception as error:  # it raises whatever a broken file leads it to
+        told = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+        if header is None or len(pings) < FEWEST_PINGS:
+            raise InputError(f"{path}: {EXPECTED}: {told}") from None
+        return header, pings, [f"{path}: breaks off after {len(pings)} pings ({told}): used so far"]
+    return header, pings, []
+
+
+def _at(ping: Any, number: int) -> int | None:
+    """Place of a channel among those of a ping, which may hold some of the file's channels only."""
+    numbers = [int(info.ChannelNumber) for info in ping.ping_chan_headers]
+    if len(set(numbers)) < len(numbers):  # not filled in: channels in the file's order
+        return number if number < len(numbers) else None
+    return numbers.index(number) if number in numbers else None
+
+
 def _channels(path: Path, header: Any) -> dict[str, int]:
-    """Place of each side's first channel."""
+    """Return the number of each side's first channel."""
     places: dict[str, int] = {}
     for k, info in enumerate(header.sonar_info):
         side = {PORT: "port", STARBOARD: "starboard"}.get(int(info.TypeOfChannel))
@@ -149,8 +187,8 @@ def _altitude(ping: Any) -> float:
 
 
 def _spacing(path: Path, pings: list[Any], kept: list[int], at: int) -> FloatArray:
-    headers = [pings[k].ping_chan_headers[at] for k in kept]
-    counts = [len(pings[k].data[at]) for k in kept]
+    headers = [pings[k].ping_chan_headers[_at(pings[k], at)] for k in kept]
+    counts = [len(pings[k].data[_at(pings[k], at)]) for k in kept]
     ranges = np.array([float(h.SlantRange) or float(h.GroundRange) for h in headers])
     if not (ranges > 0).all():
         raise InputError(f"{path}: ping {kept[int(np.argmin(ranges))]}: no range is recorded")
@@ -159,7 +197,12 @@ def _spacing(path: Path, pings: list[Any], kept: list[int], at: int) -> FloatArr
 
 def _stacked(pings: list[Any], kept: list[int], at: int) -> NDArray[Any]:
     """Stack the samples of a channel, pings of fewer filled with zeros."""
-    parts = [np.asarray(pings[k].data[at]) for k in kept]
+    parts = [np.asarray(pings[k].data[_at(pings[k], at)]) for k in kept]
+    weights = [int(pings[k].ping_chan_headers[_at(pings[k], at)].Weight) for k in kept]
+    if len(set(weights)) > 1:  # numbers of each ping are to be divided by two to this power
+        parts = [
+            np.ldexp(part.astype(np.float32), -w) for part, w in zip(parts, weights, strict=True)
+        ]
     length = max(part.size for part in parts)
     stacked = np.zeros((len(parts), length), np.result_type(*{part.dtype for part in parts}))
     for row, part in zip(stacked, parts, strict=True):
@@ -168,15 +211,22 @@ def _stacked(pings: list[Any], kept: list[int], at: int) -> NDArray[Any]:
     return np.abs(stacked) if stacked.dtype.kind == "i" else stacked
 
 
-def _oriented(side: str, samples: NDArray[Any]) -> NDArray[Any]:
-    """Turn samples so that the nearest is the first: port is recorded from the far end.
+def _oriented(samples: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Turn port so that the nearest sample is the first: XTF has it from the far end on.
 
-    Some programs record both from the sonar on: there the transmitted pulse, the strongest of all,
-    stands at the start.
+    Some programs record both sides from the sonar on. Then port's mean profile is starboard's; of
+    port alone, the transmitted pulse, the strongest of all, stands at the start.
     """
-    if side != "port":
+    if "port" not in samples:
         return samples
-    profile = samples.mean(axis=0, dtype=float)
-    tenth = max(profile.size // 10, 1)
-    near_first = profile[:tenth].max() > 2 * profile[-tenth:].max()
-    return samples if near_first else samples[:, ::-1]
+    port = samples["port"]
+    profile = np.log1p(port.mean(axis=0, dtype=float))
+    starboard = samples.get("starboard")
+    if starboard is not None and starboard.shape[1] == port.shape[1]:
+        other = np.log1p(starboard.mean(axis=0, dtype=float))
+        alike = [float(np.corrcoef(p, other)[0, 1]) for p in (profile, profile[::-1])]
+        near_first = alike[0] > alike[1]
+    else:
+        pulse = max(int(PULSE * profile.size), 1)
+        near_first = profile[:pulse].max() > np.log(2) + profile[pulse:].max()
+    return samples if near_first else samples | {"port": port[:, ::-1]}

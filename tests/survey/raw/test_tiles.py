@@ -1,5 +1,7 @@
 """Raw recordings: a made one with known floor, and a recorded one beside the checkout."""
 
+import dataclasses
+
 import numpy as np
 import pyproj
 import pytest
@@ -22,7 +24,7 @@ recorded = pytest.mark.skipif(
 NORTH = "EPSG:32617"
 
 
-def made(altitude=5.0, pings=160, samples=500, recorded_altitude=True):
+def made(altitude=5.0, pings=160, samples=500, recorded_altitude=True, pitch=0.0):
     """A line due north; the floor is bright between 10 and 12 m ground range to starboard."""
     rng = np.random.default_rng(2)
     y = 3300000.0 + 0.25 * np.arange(pings)
@@ -32,7 +34,7 @@ def made(altitude=5.0, pings=160, samples=500, recorded_altitude=True):
     spacing = 0.05
     slant = spacing * (np.arange(samples) + 0.5)
     ground = np.sqrt(np.maximum(slant**2 - altitude**2, 0))
-    level = np.where(slant < altitude, 2.0, 100.0)
+    level = np.where(slant * np.cos(np.radians(pitch)) < altitude, 2.0, 100.0)
     sides = {}
     for side in ("port", "starboard"):
         bright = (ground > 10) & (ground < 12) & (side == "starboard")
@@ -40,7 +42,7 @@ def made(altitude=5.0, pings=160, samples=500, recorded_altitude=True):
         sides[side] = (speckle * level * np.where(bright, 4, 1)).astype("uint16")
     told = np.full(pings, altitude if recorded_altitude else 0.0)
     return Recording(
-        "made.xtf", longitude, latitude, told, np.arange(pings), sides,
+        "made.xtf", longitude, latitude, told, np.full(pings, pitch), np.arange(pings), sides,
         np.full(pings, spacing), False,
     )  # fmt: skip
 
@@ -75,6 +77,85 @@ def test_bottom_is_found_where_it_falls_away():
     found = altitude_of([samples], np.full(200, 0.05))
     assert np.abs(found - altitude).max() < 0.4
     assert abs(np.median(found - altitude)) < 0.2
+
+
+LEVELS = {"rising gain": 3.0, "steady": 0.0}
+
+
+@pytest.mark.parametrize("growth", LEVELS.values(), ids=LEVELS)
+@pytest.mark.parametrize("beam", [False, True])
+def test_bottom_is_found_under_gain_and_in_a_side_looking_beam(growth, beam):
+    """Noise that grows with range; a beam that hears nothing straight below."""
+    rng = np.random.default_rng(4)
+    altitude = 5 + np.linspace(0, 3, 200)[:, None]
+    slant = 0.04 * (np.arange(700) + 0.5)
+    below = np.degrees(np.arccos(np.clip(altitude / slant, 0, 1)))
+    floor = 100 * 10 ** (-2 * (np.clip(45 - below, 0, None) / 45) ** 2) if beam else 100.0
+    signal = np.where(slant < altitude, 0, floor) * rng.rayleigh(1.0, below.shape)
+    noise = (2 + growth * slant / 5) * rng.rayleigh(1.0, below.shape)
+    samples = np.hypot(signal, noise)
+    samples[:, :8] += 4000  # the transmitted pulse
+    samples[:, 60:63] += 150 * rng.rayleigh(1.0, (200, 3))  # an echo of the surface
+    found = altitude_of([samples.astype("uint16")], np.full(200, 0.04))
+    away = found / altitude[:, 0] - 1
+    assert abs(np.median(away)) < 0.03
+    assert np.abs(away).max() < 0.06
+
+
+def test_altitude_found_by_a_pitched_sonar_is_upright():
+    pitched = made(recorded_altitude=False, pitch=25.0)
+    lines, warnings, found = raw_tiles._lines(pitched, NORTH)
+    assert found
+    assert abs(np.median(lines[0].pings.altitude) - 5.0) < 0.15
+    assert any("pitches by 25 degrees" in line for line in warnings)
+
+
+VARIANTS = {
+    "8 bits": {"kind": "uint8", "scale": 0.14},
+    "32 bits": {"kind": "uint32", "scale": 1000.0},
+    "float": {"kind": "float32", "scale": 1e-3},
+    "format not told": {"kind": "uint16", "told": False},
+    "other packets between": {"between": True},
+    "port from the sonar on": {"near_first": True},
+    "channels in another order": {"swapped": True},
+    "weights by ping": {"weights": np.arange(160) % 3},
+    "port alone": {"sides": ("port",)},
+    "starboard alone": {"sides": ("starboard",)},
+}
+
+
+@pytest.mark.parametrize("odd", VARIANTS.values(), ids=VARIANTS)
+@pytest.mark.parametrize("recorded_altitude", [True, False])
+def test_variants_of_xtf_give_the_same_recording(tmp_path, odd, recorded_altitude):
+    pytest.importorskip("pyxtf")
+    from tests.survey.raw.xtf import write_xtf
+
+    given = made(recorded_altitude=recorded_altitude)
+    found = read_xtf(write_xtf(tmp_path / "a.xtf", given, **odd), None)
+    assert set(found.samples) == set(odd.get("sides", ("port", "starboard")))
+    np.testing.assert_allclose(found.longitude, given.longitude, atol=1e-9)
+    np.testing.assert_allclose(found.spacing, given.spacing, rtol=1e-6)
+    np.testing.assert_array_equal(found.altitude, given.altitude)
+    for side, samples in found.samples.items():
+        wanted = given.samples[side] * odd.get("scale", 1.0)
+        loss = 1.0 if np.dtype(odd.get("kind", "uint16")).kind == "u" else 1e-4
+        assert np.abs(samples - wanted).max() < loss
+    altitude = raw_tiles._lines(found, NORTH)[0][0].pings.altitude
+    assert abs(np.median(altitude) - 5) < 0.15
+
+
+def test_a_file_that_breaks_off_is_used_so_far(tmp_path):
+    pytest.importorskip("pyxtf")
+    from tests.survey.raw.xtf import write_xtf
+
+    path = write_xtf(tmp_path / "a.xtf", made())
+    path.write_bytes(path.read_bytes()[:-100_000])
+    found = read_xtf(path, None)
+    assert 80 < found.longitude.size < 160
+    assert "breaks off" in found.warnings[0]
+    (tmp_path / "a.pyxtf_idx").write_bytes(b"cos\nsystem\n(S'true'\ntR.")  # pyxtf would run it
+    with pytest.raises(InputError, match="remove it"):
+        read_xtf(path, None)
 
 
 def test_what_is_no_recording_is_one_line(tmp_path, capsys):
@@ -133,14 +214,15 @@ def _pattern(values):
     return scipy.ndimage.gaussian_filter(level, 2) - scipy.ndimage.gaussian_filter(level, 20)
 
 
-@recorded
-def test_positions_in_metres_need_a_crs(monkeypatch):
-    pyxtf = pytest.importorskip("pyxtf")
-    header, packets = pyxtf.xtf_read(str(LINE), [pyxtf.XTFHeaderType.sonar])
-    header.NavUnits = 0
-    for ping in packets[pyxtf.XTFHeaderType.sonar]:
-        ping.SensorXcoordinate, ping.SensorYcoordinate = 512700.0, 5365800.0 + ping.PingNumber
-    monkeypatch.setattr(pyxtf, "xtf_read", lambda *_: (header, packets))
+def test_positions_in_metres_need_a_crs(tmp_path):
+    pytest.importorskip("pyxtf")
+    from tests.survey.raw.xtf import write_xtf
+
+    given = made()
+    move = pyproj.Transformer.from_crs(4326, NORTH, always_xy=True)
+    x, y = move.transform(given.longitude, given.latitude)
+    metres = dataclasses.replace(given, longitude=x, latitude=y)
+    path = write_xtf(tmp_path / "a.xtf", metres, units=0)
     with pytest.raises(InputError, match="--crs"):
-        read_xtf(LINE, None)
-    assert abs(np.median(read_xtf(LINE, "EPSG:32619").latitude) - 48.44) < 0.05
+        read_xtf(path, None)
+    np.testing.assert_allclose(read_xtf(path, NORTH).latitude, given.latitude, atol=1e-9)

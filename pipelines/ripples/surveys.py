@@ -1,0 +1,148 @@
+"""Heights of whole surveys: one scattering law, a few cells with shadow, the rest by contrast.
+
+    python pipelines/ripples/surveys.py [--surveys 6] [--cells 60] [--shadowed 15] [--csv FILE]
+
+Each survey has one scattering law, of the fitted family or outside it, rendered by the coherent
+simulator. Some of its cells lie so far out that ripples cast shadow, the others do not. Every cell
+is estimated by itself; then the law is learned from all of them. Prints coverage and error of A_H
+before and after, for cells with shadow and without.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from sasmap.ripples import Quality, RippleSettings, estimate
+from sasmap.ripples.fusion import fuse_cells, learn_survey
+from sasmap.ripples.summary import Summary, summarise
+from sasmap.simulate import coherent_cell
+from sasmap.simulate.laws import PowerLaw
+
+PIXEL = 0.025
+
+
+def law_of(seed: int) -> Any:
+    """Return a survey's law: four by turns and one of the fitted family."""
+    rng = np.random.default_rng([seed, 3])
+    family = PowerLaw(exponent=rng.uniform(0.5, 3), concentration=rng.uniform(0, 1))
+    return ["lambert", "gaussian", "rough", "volume", family][seed % 5]
+
+
+def draw_cell(rng: np.random.Generator, size: int, shadowed: bool) -> dict[str, Any]:
+    """Draw a cell: steeper than the lowest ray, or clearly less steep."""
+    while True:
+        frequency, height = rng.uniform(4 / (PIXEL * size), 1.2), rng.uniform(0.02, 0.1)
+        near, altitude = rng.uniform(6, 40), rng.uniform(3, 9)
+        steep = 2 * np.pi * frequency * height / (altitude / (near + 0.5 * PIXEL * size))
+        fits = 2 * frequency * height < 0.17
+        if fits and (steep > 1.3 if shadowed else 0.15 < steep < 0.6):
+            break
+    return {
+        "frequency": frequency,
+        "height": height,
+        "azimuth_off_look": rng.uniform(-50, 50),
+        "near": near,
+        "altitude": altitude,
+        "pixel_size": PIXEL,
+        "shape": (size, size),
+        "profile": rng.choice(["sine", "stokes"]),
+        "wander": float(rng.choice([0.0, rng.uniform(0.3, 0.8)])),
+        "wander_length": rng.uniform(3, 8),
+        "noise": rng.uniform(-30, -20),
+        "blur": rng.uniform(0.4, 0.8),
+    }
+
+
+def one(job: tuple[int, int, bool], law: Any, size: int) -> tuple[Summary, dict[str, Any]]:
+    """Estimate one cell of a survey."""
+    seed, number, shadowed = job
+    rng = np.random.default_rng([seed, number, 4])
+    made = coherent_cell(rng, law=law, **draw_cell(rng, size, shadowed))
+    summary = summarise(estimate(made.clip, RippleSettings(), rng=number))
+    return summary, {"height": made.height, "shadowed": shadowed}
+
+
+def covers(low: float, high: float, truth: float) -> bool:
+    """Whether an interval holds the truth."""
+    return low <= truth <= high
+
+
+def describe(title: str, rows: list[dict[str, Any]]) -> None:
+    """Print coverage and error before and after the survey was heard."""
+    if not rows:
+        return
+    parts = [f"{title:34s} {len(rows):4d}"]
+    for when in ("alone", "survey"):
+        cover = 100 * np.mean([r[f"{when}_covers"] for r in rows])
+        error = 100 * np.median([abs(r[f"{when}_mean"] / r["height"] - 1) for r in rows])
+        width = np.median([r[f"{when}_width"] / r["height"] for r in rows])
+        parts.append(f"{when}: cover {cover:3.0f} %, error {error:5.1f} %, width {width:5.2f}")
+    print("   ".join(parts), flush=True)
+
+
+def run(seed: int, cells: int, shadowed: int, size: int, pool: Any) -> list[dict[str, Any]]:
+    """Simulate and estimate one survey; a row for each good cell."""
+    law = law_of(seed)
+    jobs = [(seed, i, i < shadowed) for i in range(cells)]
+    found = list(pool.map(partial(one, law=law, size=size), jobs))
+    summaries = [[summary] for summary, _ in found]
+    survey = learn_survey(summaries, RippleSettings(), seed)
+    rows = []
+    for (summary, truth), fused in zip(
+        found, fuse_cells(summaries, RippleSettings(), survey), strict=True
+    ):
+        if summary.quality is not Quality.GOOD:
+            continue
+        row = {"seed": seed, "law": str(law), **truth}
+        for when, known in (("alone", summary), ("survey", fused.final)):
+            low, high = known.q05[1], known.q95[1]
+            row |= {
+                f"{when}_mean": known.mean[1],
+                f"{when}_width": high - low,
+                f"{when}_covers": covers(low, high, truth["height"]),
+            }
+        rows.append(row)
+    quantiles = survey.quantiles()
+    print(
+        f"survey {seed}: law {law}; learned n, c:",
+        np.round(quantiles["law"], 2).tolist(),
+        "spread",
+        np.round(quantiles["spread"][1], 2).tolist(),
+    )
+    describe("  with shadow", [r for r in rows if r["shadowed"]])
+    describe("  by contrast", [r for r in rows if not r["shadowed"]])
+    return rows
+
+
+def main() -> None:
+    """Print the tables, and write the cells where asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--surveys", type=int, default=6)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first survey")
+    parser.add_argument("--cells", type=int, default=60)
+    parser.add_argument("--shadowed", type=int, default=15)
+    parser.add_argument("--size", type=int, default=500)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--csv")
+    options = parser.parse_args()
+    rows = []
+    with ProcessPoolExecutor(options.workers) as pool:
+        for seed in range(options.first, options.first + options.surveys):
+            rows += run(seed, options.cells, options.shadowed, options.size, pool)
+    describe("all with shadow", [r for r in rows if r["shadowed"]])
+    describe("all by contrast", [r for r in rows if not r["shadowed"]])
+    if options.csv:
+        with open(options.csv, "w", newline="") as stream:
+            writer = csv.DictWriter(stream, sorted({name for row in rows for name in row}))
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

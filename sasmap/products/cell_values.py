@@ -1,0 +1,228 @@
+"""What the products say of a cell: one function a quantity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.fusion import CellEstimate, FusedCell
+from sasmap.ripples.posterior import Quality
+from sasmap.ripples.summary import Summary
+
+STATISTICS = ("mean", "sd", "q05", "q95")
+# Of products that are a number with its statistics: file and name of the attribute.
+QUANTITIES = {
+    "ripple_wavelength.tif": "wavelength",
+    "ripple_crest_to_trough.tif": "crest_to_trough",
+    "ripple_steepness.tif": "steepness",
+    "ripple_frequency.tif": "frequency",
+    "ripple_height.tif": "height",
+}
+
+# m: the finest that a label on a map tells.
+MILLIMETRE = 1e-3
+
+Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
+FusedCells = Mapping[tuple[int, int], FusedCell]
+
+
+class CellResult(NamedTuple):
+    """A cell with all that is known of it.
+
+    Attributes
+    ----------
+    summaries : sequence of Summary or None
+        One a swath, None where it does not show the cell.
+    fused : FusedCell
+    passes : sequence of str
+        Name of the pass of each swath.
+    """
+
+    summaries: Sequence[Summary | None]
+    fused: FusedCell
+    passes: Sequence[str]
+
+    @property
+    def used(self) -> list[str]:
+        """Passes that stand for the cell, in their order."""
+        return list(dict.fromkeys(self.passes[k] for k in self.fused.group))
+
+
+def statistics(estimate: CellEstimate, quantity: str) -> tuple[float, ...]:
+    """Mean, standard deviation, 5 and 95 % quantiles of a quantity.
+
+    Parameters
+    ----------
+    estimate : CellEstimate
+    quantity : str
+        ``frequency`` (cycles/m), ``height`` (A_H, m), ``wavelength`` (m), ``crest_to_trough`` (m)
+        or ``steepness``.
+
+    Returns
+    -------
+    tuple of float
+    """
+    if quantity == "steepness":
+        return tuple(estimate.derived.steepness)
+    if quantity == "wavelength":  # falls with f: the quantiles change places
+        ends = (1 / f if f > 0 else float("nan") for f in (estimate.q95[0], estimate.q05[0]))
+        return (*estimate.derived.wavelength, *ends)
+    i = 0 if quantity == "frequency" else 1
+    factor = 2.0 if quantity == "crest_to_trough" else 1.0
+    return tuple(factor * getattr(estimate, name)[i] for name in STATISTICS)
+
+
+def cell_probability(summaries: Sequence[Summary | None], fused: FusedCell) -> float:
+    """Probability that a cell is rippled: the largest of the looks that stand for it, or of all."""
+    group = [summaries[k] for k in fused.group] or summaries
+    known = [s.probability for s in group if s is not None and np.isfinite(s.probability)]
+    return max(known, default=float("nan"))
+
+
+# The bands of each raster with a pixel a cell, by file: a new product of the catalogue needs a line
+# here.
+VALUES: dict[str, Callable[[CellResult], Sequence[float]]] = {
+    **{
+        file: lambda cell, name=name: statistics(cell.fused.final, name)  # type: ignore[misc]
+        for file, name in QUANTITIES.items()
+    },
+    "ripple_azimuth.tif": lambda cell: cell.fused.final.azimuth,
+    "ripple_probability.tif": lambda cell: [cell_probability(cell.summaries, cell.fused)],
+    "ripple_quality.tif": lambda cell: [cell.fused.quality],
+    "ripple_passes.tif": lambda cell: [len(cell.used)],
+}
+
+
+def cell_results(
+    cells: Cells, fused: FusedCells, passes: Sequence[str]
+) -> dict[tuple[int, int], CellResult]:
+    """Put together what is known of each cell.
+
+    Parameters
+    ----------
+    cells : mapping of (row, column) to sequence of Summary or None
+    fused : mapping of (row, column) to FusedCell
+    passes : sequence of str
+        Name of the pass of each swath.
+
+    Returns
+    -------
+    dict of (row, column) to CellResult
+    """
+    return {cell: CellResult(s, fused[cell], passes) for cell, s in sorted(cells.items())}
+
+
+def raster(
+    file: str, results: Mapping[tuple[int, int], CellResult], bands: int, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Lay a product's values on the grid.
+
+    Parameters
+    ----------
+    file : str
+        Name of the product.
+    results : mapping of (row, column) to CellResult
+    bands : int
+    shape : tuple of int
+        Rows and columns.
+
+    Returns
+    -------
+    ndarray (bands, rows, columns)
+        NaN outside the cells.
+    """
+    values = np.full((bands, *shape), np.nan)
+    for cell, result in results.items():
+        values[:, *cell] = VALUES[file](result)
+    return values
+
+
+# What a quality code says of a cell, and what can be done about it.
+MEANINGS = {
+    Quality.NO_DATA: "no pass shows the cell",
+    Quality.GOOD: "ripples, with a converged estimate",
+    Quality.NO_RIPPLES: "looked at, and no ripples found",
+    Quality.NOT_CONVERGED: "ripples, but the Markov chains did not agree",
+    Quality.CONTRADICTION: "the passes give values that no common ripple explains",
+    Quality.NOT_IDENTIFIABLE: "the look runs along the crests, or a wavelength has too few pixels "
+    "or does not fit into the cell",
+    Quality.TOO_FEW_PIXELS: "under a quarter of the cell's pixels are valid",
+    Quality.FAILED: "could not be computed",
+}
+ADVICE = {
+    Quality.NO_DATA: "",
+    Quality.GOOD: "use the values with their intervals",
+    Quality.NO_RIPPLES: "nothing",
+    Quality.NOT_CONVERGED: "do not quote the values; try a smaller window where crests bend, a "
+    "larger one where few wavelengths fit, or more ripples.draws",
+    Quality.CONTRADICTION: "compare the passes in ripples.nc and their navigation and dates: "
+    "ripples may have changed between them",
+    Quality.NOT_IDENTIFIABLE: "add a pass of another heading, or choose a larger window for long "
+    "waves and smaller pixels for short ones",
+    Quality.TOO_FEW_PIXELS: "nothing, at the edges; elsewhere look for holes in the tiles",
+    Quality.FAILED: "see the failures at the end of the report; repair the input and run again",
+}
+
+
+def attributes(results: Sequence[CellResult]) -> dict[str, list[Any]]:
+    """Attributes of cells as columns, for vectors and tables.
+
+    Parameters
+    ----------
+    results : sequence of CellResult
+
+    Returns
+    -------
+    dict of str to list
+        Numbers, NaN where unknown, and text.
+    """
+    columns: dict[str, list[Any]] = {
+        "quality": [int(r.fused.quality) for r in results],
+        "quality_text": [r.fused.quality.label for r in results],
+        "reason": [MEANINGS[r.fused.quality] for r in results],
+        "probability": [cell_probability(r.summaries, r.fused) for r in results],
+    }
+    for name in QUANTITIES.values():
+        every = np.array([statistics(r.fused.final, name) for r in results]).reshape(-1, 4)
+        for i, statistic in enumerate(STATISTICS):
+            columns[f"{name}_{statistic}"] = every[:, i].tolist()
+    for i, statistic in enumerate(("mean", "sd")):
+        columns[f"azimuth_{statistic}"] = [r.fused.final.azimuth[i] for r in results]
+    columns["passes_used"] = [len(r.used) for r in results]
+    columns["passes"] = [", ".join(r.used) for r in results]
+    columns["label"] = [label(r.fused.final) for r in results]
+    return columns
+
+
+def label(estimate: CellEstimate) -> str:
+    """Wavelength and height of a cell as a map says them: to a millimetre, no finer than known."""
+    length, height = (statistics(estimate, k) for k in ("wavelength", "crest_to_trough"))
+    if not np.isfinite(length[0]):
+        return ""
+    return f"λ {_on_a_map(*length[:2])} m\nH {_on_a_map(*height[:2])} m"
+
+
+def _on_a_map(value: float, sd: float) -> str:
+    if np.isfinite(sd) and sd < MILLIMETRE / 2:  # nothing of it would be left
+        return f"{value:.3f}"
+    return f"{value:.3f} ± {sd:.3f}" if sd < 10 * MILLIMETRE else measured(value, sd)
+
+
+def measured(value: float, sd: float) -> str:
+    """Write a value with its standard deviation, two digits of which are told: 0.140 ± 0.012.
+
+    Parameters
+    ----------
+    value, sd : float
+
+    Returns
+    -------
+    str
+    """
+    if not (np.isfinite(value) and np.isfinite(sd) and sd > 0):
+        return f"{value:.4g}"
+    digits = int(np.clip(1 - np.floor(np.log10(sd)), 0, 6))
+    return f"{value:.{digits}f} ± {sd:.{digits}f}"

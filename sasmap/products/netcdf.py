@@ -1,0 +1,295 @@
+"""ripples.nc: everything per pass and cell, and the combined value of each quantity (CF-1.11)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import xarray as xr
+from affine import Affine
+from numpy.typing import NDArray
+
+from sasmap.io.files import written_whole
+from sasmap.products.cell_values import (
+    QUANTITIES,
+    STATISTICS,
+    CellResult,
+    Cells,
+    FusedCells,
+    cell_probability,
+    cell_results,
+    statistics,
+)
+from sasmap.ripples.detection import Unclear
+from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
+
+# Of f, A_H and the azimuth.
+CONVERGENCE = {
+    "rhat": "rank-normalised split R-hat",
+    "ess_bulk": "bulk effective sample size",
+    "ess_tail": "tail effective sample size",
+}
+# Name, unit and meaning of what each look says besides.
+SINGLE = {
+    "correlation": ("1", "posterior correlation of f and A_H"),
+    "acceptance": ("1", "accepted fraction of the proposals"),
+    "probability": ("1", "probability that the cell is rippled"),
+    "coherence_length": ("m", "distance over which the phase of the crests stays correlated"),
+    "rippled_fraction": ("1", "rippled fraction of the valid area"),
+    "defect_density": ("m-2", "terminations of crests for each square metre of rippled floor"),
+    "window": ("1", "cells a side of the window in which the look was estimated"),
+    "noise_factor": ("1", "variance of the speckle over that of independent pixels"),
+    "exponent": ("1", "exponent n of the scattering law sin(theta)^n exp(-c (theta - pi/2)^2)"),
+    "exponent_sd": ("1", "standard deviation of the exponent of the scattering law"),
+    "concentration": ("1", "concentration c of the scattering law"),
+    "concentration_sd": ("1", "standard deviation of the concentration of the scattering law"),
+    "peakedness": ("1", "in-phase second harmonic of the crest profile over A_H"),
+    "asymmetry": ("1", "quadrature second harmonic of the crest profile over A_H"),
+}
+UNITS = {"frequency": "m-1", "steepness": "1"}
+NAMES = {
+    "frequency": "ripple frequency f (cycles per metre)",
+    "height": "ripple amplitude A_H, half the height from trough to crest",
+    "wavelength": "ripple wavelength 1/f",
+    "crest_to_trough": "ripple height from trough to crest, 2 A_H",
+    "steepness": "ripple steepness, height from trough to crest over wavelength",
+    "azimuth": "azimuth of the crest normal clockwise from grid north",
+}
+
+
+def write_ripples_netcdf(
+    path: Path,
+    cells: Cells,
+    chains: FusedCells,
+    looks: Sequence[str],
+    passes: Sequence[str],
+    shape: tuple[int, int],
+    transform: Affine,
+    crs: str,
+    tags: Mapping[str, str],
+    scratch: Path,
+) -> list[Path]:
+    """Write everything per look and cell: prior, posterior, convergence, quality; and combined.
+
+    Parameters
+    ----------
+    path : Path
+    cells : mapping of (row, column) to sequence of Summary or None
+    chains : mapping of (row, column) to FusedCell
+    looks : sequence of str
+        Labels, one a look.
+    passes : sequence of str
+        Name of the pass of each look.
+    shape : tuple of int
+        Rows and columns of the grid.
+    transform : Affine
+    crs : str
+        WKT.
+    tags : mapping of str to str
+        Global attributes.
+    scratch : Path
+
+    Returns
+    -------
+    list of Path
+    """
+    full = (len(looks), *shape)
+    results = cell_results(cells, chains, passes)
+    variables = {
+        **_combined(results, shape),
+        **_known_fields(cells, chains, full),
+        **_look_fields(cells, full),
+    }
+    for name in variables:
+        variables[name][2]["grid_mapping"] = "spatial_ref"
+    spatial = pyproj.CRS.from_wkt(crs).to_cf()
+    spatial["GeoTransform"] = " ".join(repr(v) for v in transform.to_gdal())
+    variables["spatial_ref"] = ((), np.int32(0), spatial)
+    labels = {"long_name": "pass, with the side where it shows both"}
+    coordinates = {
+        "pass": ("pass", np.array(looks, dtype=str), labels),
+        "statistic": ("statistic", np.array(STATISTICS), {"long_name": "posterior statistic"}),
+        "y": ("y", _centres(transform.f, transform.e, shape[0]), _axis("y")),
+        "x": ("x", _centres(transform.c, transform.a, shape[1]), _axis("x")),
+    }
+    result = xr.Dataset(variables, coordinates, _global(tags))
+    # what is known everywhere has no fill value, nor have coordinates
+    encoding = {
+        name: {"_FillValue": np.nan if name in variables and v.dtype.kind == "f" else None}
+        for name, v in result.variables.items()
+        if v.dtype.kind in "fiu"
+    }
+    with written_whole(path, scratch) as part:
+        result.to_netcdf(part, engine="scipy", format="NETCDF3_64BIT", encoding=encoding)
+    return [path]
+
+
+def _global(tags: Mapping[str, str]) -> dict[str, str]:
+    return {
+        "Conventions": "CF-1.11",
+        "title": f"Ripples of the survey {tags['SURVEY']}",
+        "institution": "not told by the survey file",
+        "source": f"{tags['SOFTWARE']}, from synthetic aperture sonar amplitude",
+        "history": f"run {tags['RUN_ID']} of {tags['SOFTWARE']}",
+        "references": "Zare and Cobb (2013); docs/science.md of sasmap",
+        "comment": "Variables without the dimension pass are of all passes combined.",
+        **tags,
+    }
+
+
+def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, int]) -> Any:
+    """Collect the combined value of each quantity (statistic, y, x) and verdict (y, x)."""
+    variables: dict[str, Any] = {}
+    for name in (*QUANTITIES.values(), "azimuth"):
+        values = np.full((len(STATISTICS), *shape), np.nan)
+        for cell, result in results.items():
+            final = result.fused.final
+            known = (*final.azimuth,) if name == "azimuth" else statistics(final, name)
+            values[: len(known), *cell] = known
+        unit = "degree" if name == "azimuth" else UNITS.get(name, "m")
+        about = {"units": unit, "long_name": f"{NAMES[name]}, all passes combined"}
+        variables[name] = (("statistic", "y", "x"), values, about)
+    quality, passes = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
+    probability = np.full(shape, np.nan)
+    for cell, result in results.items():
+        quality[cell], passes[cell] = result.fused.quality, min(len(result.used), 127)
+        probability[cell] = cell_probability(result.summaries, result.fused)
+    flat = ("y", "x")
+    about = {"units": "1", "long_name": "probability that the cell is rippled, all passes"}
+    variables["cell_probability"] = (flat, probability, about)
+    variables["cell_quality"] = (flat, quality, _flags("quality of the cell"))
+    about = {"units": "1", "long_name": "number of passes that stand for the cell"}
+    variables["cell_passes"] = (flat, passes, about)
+    return variables
+
+
+_DIMS = ("pass", "y", "x")
+_PARAMETERS = (("frequency", "m-1"), ("height", "m"))
+
+
+def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Collect what is known of each cell before and after each look, and by it alone."""
+    variables: dict[str, Any] = {}
+    sources: tuple[tuple[str, str, Any], ...] = (
+        ("", "after this pass, all so far combined", lambda c, k: chains[c].posteriors[k]),
+        ("prior_", "before this pass", lambda c, k: chains[c].priors[k]),
+        ("alone_", "by this pass alone", lambda c, k: cells[c][k]),
+    )
+    for prefix, about, source in sources:
+        for name in ("mean", "sd") if prefix == "prior_" else STATISTICS:
+            for i, (parameter, unit) in enumerate(_PARAMETERS):
+                values = _values(cells, shape, partial(_statistic, source, name, i))
+                attributes = {"units": unit, "long_name": f"{name} of {NAMES[parameter]}, {about}"}
+                variables[f"{parameter}_{prefix}{name}"] = (_DIMS, values, attributes)
+        for i, name in enumerate(("mean", "sd")):
+            values = _values(cells, shape, partial(_statistic, source, "azimuth", i))
+            attributes = {"units": "degree", "long_name": f"axial {name} of the azimuth {about}"}
+            variables[f"azimuth_{prefix}{name}"] = (_DIMS, values, attributes)
+    apart = _values(cells, shape, lambda c, k: chains[c].disagreements[k])
+    about = "squared distance from the other passes; chi-squared, 3 degrees of freedom, by chance"
+    variables["disagreement"] = (_DIMS, apart, {"units": "1", "long_name": about})
+    for i, (name, what) in enumerate((("migration", "distance"), ("migration_sd", "its sd"))):
+        moved = _values(cells, shape, lambda c, k, i=i: chains[c].migration[k][i])
+        about = f"{what} of the crests from those of the first pass used, along the azimuth, "
+        about += "up to whole wavelengths"
+        variables[name] = (_DIMS, moved, {"units": "m", "long_name": about})
+    return {**variables, **_verdicts(chains, shape)}
+
+
+def _verdicts(chains: FusedCells, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Collect the quality of each look and whether it stands for its cell."""
+    quality, used = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
+    for cell, chain in chains.items():
+        quality[:, *cell] = chain.qualities
+        used[list(chain.group), *cell] = 1
+    about = {"units": "1", "long_name": "stands for the cell"}
+    return {
+        "quality": (_DIMS, quality, _flags("quality of the look")),
+        "used": (_DIMS, used, about),
+    }
+
+
+def _statistic(source: Any, name: str, i: int, cell: tuple[int, int], k: int) -> float:
+    return float(getattr(source(cell, k), name)[i])
+
+
+def _values(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+    """Fill a field with a value of each cell and look that shows it."""
+    field = np.full(shape, np.nan)
+    for cell, summaries in cells.items():
+        for k, summary in enumerate(summaries):
+            if summary is not None:
+                field[k, *cell] = value(cell, k)
+    return field
+
+
+def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
+    """How each look went: convergence, crests, quality, what was left out."""
+    variables: dict[str, Any] = {}
+    for name, meaning in CONVERGENCE.items():
+        for k, parameter in enumerate(JUDGED):
+            field = _field(cells, shape, lambda s, n=name, i=k: getattr(s, n)[i])
+            about = {"units": "1", "long_name": f"{meaning} of the {parameter}"}
+            variables[f"{parameter}_{name}"] = (_DIMS, field, about)
+    for name, (unit, meaning) in SINGLE.items():
+        field = _field(cells, shape, lambda s, n=name: getattr(s, n))
+        variables[name] = (_DIMS, field, {"units": unit, "long_name": meaning})
+    for k, parameter in enumerate(JUDGED):
+        for name in ("mean", "sd"):
+            field = _field(cells, shape, lambda s, n=f"second_{name}", i=k: getattr(s, n)[i])
+            unit = {"frequency": "m-1", "height": "m", "azimuth": "degree"}[parameter]
+            about = {"units": unit, "long_name": f"{name} of the {parameter} of a second system"}
+            variables[f"{parameter}_second_{name}"] = (_DIMS, field, about)
+    reasons = {reason.value: float(k + 1) for k, reason in enumerate(Unclear)}
+    unclear = _field(cells, shape, lambda s: reasons.get(s.reason, 0.0))
+    variables["unclear"] = (_DIMS, np.nan_to_num(unclear).astype(np.int8), _reasons())
+    left_out = _field(cells, shape, lambda s: float(s.left_out))
+    variables["left_out"] = (_DIMS, np.nan_to_num(left_out).astype(np.int16), _masks())
+    return variables
+
+
+def _field(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+    return _values(cells, shape, lambda cell, k: value(cells[cell][k]))
+
+
+def _centres(origin: float, step: float, n: int) -> NDArray[np.float64]:
+    return np.asarray(origin + step * (np.arange(n) + 0.5), np.float64)
+
+
+def _axis(name: str) -> dict[str, str]:
+    return {
+        "units": "m",
+        "standard_name": f"projection_{name}_coordinate",
+        "long_name": f"{name} of the cells' centres",
+        "axis": name.upper(),
+    }
+
+
+def _flags(about: str) -> dict[str, Any]:
+    return {
+        "long_name": about,
+        "flag_values": np.array([int(q) for q in Quality], np.int8),
+        "flag_meanings": " ".join(q.label.replace(" ", "_") for q in Quality),
+    }
+
+
+def _reasons() -> dict[str, Any]:
+    names = ["clear", *(reason.name.lower() for reason in Unclear)]
+    return {
+        "flag_values": np.arange(len(names), dtype=np.int8),
+        "flag_meanings": " ".join(names),
+        "long_name": "why ripples cannot be told: too few waves a window, too few pixels a wave, "
+        "looked at along the crests",
+    }
+
+
+def _masks() -> dict[str, Any]:
+    return {
+        "flag_masks": np.array([int(f) for f in LeftOut], np.int16),
+        "flag_meanings": " ".join(str(f.name).lower() for f in LeftOut),
+        "long_name": "what was left out",
+    }

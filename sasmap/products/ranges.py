@@ -1,0 +1,88 @@
+"""The range of values that a ramp of colours covers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+
+from sasmap.catalogue import BY_FILE
+
+FloatArray = NDArray[np.float64]
+
+# Standard deviations that a range covers at least on either side of its middle, so that noise is
+# not stretched over the whole ramp: 95 % of a Gaussian lie within.
+COVERED = 2.0
+# Quantiles of an amplitude image between which it is stretched: speckle has a long tail.
+DARK, BRIGHT = 0.01, 0.99
+# Pixels a side, about, from which a range is taken.
+SIDE = 1000
+
+
+def has_content(path: Path) -> bool:
+    """Whether a raster has any pixel with a value."""
+    return sampled(path, 1).size > 0
+
+
+def sampled(path: Path, band: int) -> FloatArray:
+    """Values (n,) of a raster's band, of about a thousand pixels a side at most."""
+    with rasterio.open(path) as source:
+        factor = max(1, max(source.shape) // SIDE)
+        shape = (max(source.height // factor, 1), max(source.width // factor, 1))
+        values = source.read(band, out_shape=shape, masked=True).compressed()
+    return np.asarray(values[np.isfinite(values)], np.float64)
+
+
+def range_of(path: Path) -> tuple[float, float]:
+    """Return the values of a raster's first and last colour.
+
+    Parameters
+    ----------
+    path : Path
+        A product of the catalogue, with content.
+
+    Returns
+    -------
+    low, high : float
+        The ramp's own limits where it has any; quantiles of amplitudes; else all values, and at
+        least the measured uncertainty around their middle.
+    """
+    product = BY_FILE[path.name]
+    assert product.ramp is not None
+    if product.ramp.limits is not None:
+        return product.ramp.limits
+    values = sampled(path, 1)
+    if product.kind == "pixels":
+        low, high = np.quantile(values, (DARK, BRIGHT))
+        return 0.0 if low < 0.5 * high else float(low), float(high)
+    sd = sampled(path, 2) if len(product.bands) > 1 else np.zeros(0)
+    return widened(values, sd)
+
+
+def widened(values: FloatArray, sd: FloatArray) -> tuple[float, float]:
+    """Range of values that covers at least their uncertainty.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+    sd : ndarray (n,)
+        Standard deviations; may be empty.
+
+    Returns
+    -------
+    low, high : float
+        high > low.
+    """
+    low, high = float(values.min()), float(values.max())
+    middle = (low + high) / 2
+    reach = COVERED * float(np.median(sd)) if sd.size else 0.0
+    reach = max(reach, (high - low) / 2, 1e-6 * abs(middle), 1e-9)
+    bottom = max(middle - reach, 0.0) if low >= 0 else middle - reach
+    return bottom, middle + reach
+
+
+def digits_for(low: float, high: float) -> int:
+    """Decimals with which the values of a range are told apart."""
+    return int(np.clip(1 - np.floor(np.log10(high - low)), 0, 6))

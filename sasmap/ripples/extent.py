@@ -1,0 +1,171 @@
+"""Where in a clip its ripples are, pixel by pixel, and where their crests split or end.
+
+The clip is demodulated at its wave and smoothed over half a wavelength. Smoothing takes half of the
+amplitude away at a patch's edge, whatever lies beyond it: a pixel lies on rippled floor where the
+local amplitude is more than half of the ripples' own. Contrast grows as the sound grazes lower, so
+amplitudes are compared over the angle from the vertical, as `sasmap.ripples.phase` does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, grey_closing, grey_opening, label
+from scipy.special import ndtr
+
+from sasmap.ripples.image import Image
+from sasmap.ripples.phase import Boxes, demodulate
+from sasmap.ripples.pixels import box_sums, spread_boxes
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude: the least at
+# which speckle leaves less than SURE of the ripples' amplitude.
+SMOOTHING = (0.45, 0.65, 0.95, 1.4, 2.0)
+SURE = 0.2
+# Share of the ripples' amplitude at a straight edge of them, after smoothing.
+EDGE = 0.5
+# Spread of a ripple's amplitude about its mean over places, of the mean: crests differ.
+UNEVEN = 0.15
+# Angle from the vertical below which contrast is not compared, rad.
+STEEP = 0.05
+# Area, in squares of a wavelength, under which a gap or a spot is none.
+SPECK = 1.5
+# Rounds in which the ripples' amplitude is told from the places that have it.
+ROUNDS = 4
+
+
+class Extent(NamedTuple):
+    """Where a clip's ripples are.
+
+    Attributes
+    ----------
+    probability : ndarray (rows, columns)
+        That a pixel lies on rippled floor; NaN where the image has none.
+    fraction : float
+        Of the valid area that is rippled.
+    defects : int
+        Places within it that the phase winds around: crests split or end there.
+    area : float
+        Where they were looked for, m2.
+    own : float
+        Amplitude of the ripples, over the angle from the vertical, that places are compared with.
+    """
+
+    probability: FloatArray
+    fraction: float
+    defects: int
+    area: float
+    own: float
+
+    @property
+    def defect_density(self) -> float:
+        """Defects a square metre; NaN where none could be looked for."""
+        return self.defects / self.area if self.area > 0 else float("nan")
+
+
+def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> Extent:
+    """Tell where the ripples of a wave are.
+
+    Parameters
+    ----------
+    image : Image
+    wave : ndarray (2,)
+        Wave vector (east, north), cycles/m.
+    own : float, optional
+        `Extent.own` of the cell that the ripples were found in, where that is another.
+
+    Returns
+    -------
+    Extent
+    """
+    boxes = demodulate(image, wave)
+    field, probability, own = _local(image, boxes, own)
+    probability = _without_specks(probability, boxes.wavelength)
+    pixels = np.where(image.valid, spread_boxes(probability, boxes.size, image.shape), np.nan)
+    inside = (probability > 0.5) & (boxes.count > 0)
+    rippled = pixels[image.valid] > 0.5
+    box = (boxes.size * image.pixel_size) ** 2
+    corners = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
+    return Extent(
+        pixels,
+        float(rippled.mean()) if rippled.size else 0.0,
+        int((np.abs(windings(field)) & corners).sum()),
+        float(corners.sum()) * box,
+        own,
+    )
+
+
+def _without_specks(probability: FloatArray, wavelength: float) -> FloatArray:
+    """Fill gaps that forks leave, and take off spots: both smaller than a wavelength's square."""
+    size = 2 * int(np.ceil(0.5 * wavelength)) + 1
+    for morphology, side in ((grey_closing, probability <= 0.5), (grey_opening, None)):
+        areas, _ = label(probability > 0.5 if side is None else side)
+        small = np.bincount(areas.ravel()) < SPECK * wavelength**2
+        small[0] = False
+        probability = np.where(small[areas], morphology(probability, (size, size)), probability)
+    return probability
+
+
+def _local(
+    image: Image, boxes: Boxes, given: float | None
+) -> tuple[NDArray[np.complex128], FloatArray, float]:
+    """Smoothed complex amplitude of boxes, probability that each is rippled, the ripples' own."""
+    filled = boxes.count > 0
+    angle = np.maximum(_angle(image, boxes.size), STEEP)
+    for sd in SMOOTHING:
+        reach = sd * boxes.wavelength
+        count = gaussian_filter(boxes.count, reach, mode="constant")
+        count = np.maximum(count, 1e-3 * boxes.count.max())
+        field = gaussian_filter(boxes.turned, reach, mode="constant") / count
+        # speckle: variance of a mean over the Gaussian's area, which edges and holes make smaller
+        noise = boxes.variance / (4 * np.pi * (reach * boxes.size) ** 2)
+        noise = noise * boxes.count.max() / count
+        level = np.sqrt(np.maximum(np.abs(field) ** 2 - noise, 0)) / angle
+        error = np.sqrt(0.5 * noise) / angle
+        own = _own_level(level, boxes.count * filled) if given is None else given
+        if float(np.median(error[filled])) < SURE * own:
+            break
+    spread = np.hypot(error, UNEVEN * EDGE * max(own, 1e-12))
+    return field, np.where(filled, ndtr((level - EDGE * own) / spread), 0.0), own
+
+
+def _own_level(level: FloatArray, weight: FloatArray) -> float:
+    """Amplitude of the rippled part: the mean of what has more than half of it."""
+    energy = weight * level**2
+    own = float((energy * level).sum() / max(float(energy.sum()), 1e-300))
+    for _ in range(ROUNDS):
+        # of what lies beyond an edge's reach
+        inside = weight * (level > 0.7 * own)
+        own = float((inside * level).sum() / max(float(inside.sum()), 1e-300))
+    return own
+
+
+def _angle(image: Image, size: int) -> FloatArray:
+    """Mean angle of the look from the vertical over boxes, rad."""
+    reach, altitude = (
+        box_sums(np.nan_to_num(v), image.valid, 0.0, 0.0, size)[0].real
+        for v in (image.ground_range, image.altitude)
+    )
+    return np.asarray(np.arctan2(reach, np.maximum(altitude, 1e-9)))
+
+
+def windings(field: NDArray[np.complex128]) -> NDArray[np.int64]:
+    """Count turns of a field's phase around each four neighbouring places.
+
+    Parameters
+    ----------
+    field : ndarray of complex (rows, columns)
+
+    Returns
+    -------
+    ndarray of int (rows - 1, columns - 1)
+        1 or -1 where a crest splits or ends, else 0.
+    """
+    corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
+    after = corners[1:] + corners[:1]
+    turns = [np.angle(b * np.conj(a)) for a, b in zip(corners, after, strict=True)]
+    return np.asarray(np.rint(np.sum(turns, axis=0) / (2 * np.pi)), np.int64)

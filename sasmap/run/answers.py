@@ -1,0 +1,121 @@
+"""The few numbers that a run is for: on the report's first page and on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.catalogue import PROJECT, REPORT
+from sasmap.products.cell_values import measured, statistics
+from sasmap.ripples.fusion import CellEstimate
+from sasmap.ripples.posterior import Quality, axial
+from sasmap.run.manifest import Outcome
+from sasmap.run.plan import Plan
+from sasmap.run.wording import duration
+
+
+class Answer(NamedTuple):
+    """A number of the first page: what it is, its value, and what stands beside it."""
+
+    what: str
+    value: str
+    beside: str
+
+
+def _good(outcome: Outcome) -> list[CellEstimate]:
+    return [c.final for c in outcome.fused.values() if c.quality is Quality.GOOD]
+
+
+def _table(cells: list[CellEstimate], quantity: str) -> NDArray[np.float64]:
+    return np.array([statistics(c, quantity) for c in cells])
+
+
+def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
+    """Yield the numbers of the first page; only those that there are.
+
+    Parameters
+    ----------
+    plan : Plan
+    outcome : Outcome
+
+    Yields
+    ------
+    Answer
+    """
+    good = _good(outcome)
+    if outcome.fused:
+        area = len(good) * plan.opened.grid.size**2
+        beside = f"of {len(outcome.fused)}; {area:,.0f} m² with a converged estimate"
+        yield Answer("Rippled cells", str(len(good)), beside)
+    if good:  # by the default method, which knows their azimuth
+        yield _typical("Wavelength", _table(good, "wavelength"))
+        yield _typical("Height, crest to trough", _table(good, "crest_to_trough"))
+        known = np.array([c.azimuth[0] for c in good])
+        mean, spread = axial(known[np.isfinite(known)])
+        beside = f"clockwise from grid north, where crests run; spread {spread:.1f}°"
+        yield Answer("Crest direction", f"{(mean + 90) % 180:.0f}°", beside)
+    if outcome.sediments:
+        areas = ", ".join(f"{c['name']} {c['area_m2']:,.0f} m²" for c in outcome.sediments)
+        yield Answer("Sediment classes", str(len(outcome.sediments)), areas)
+
+
+def _typical(what: str, table: NDArray[np.float64]) -> Answer:
+    """Median over cells, how well one is known, and the range over cells."""
+    value, sd = np.median(table[:, 0]), np.median(table[:, 1])
+    low, high = np.quantile(table[:, 0], (0.05, 0.95))
+    beside = "median over cells ± sd of one cell"
+    if high - low > 2 * sd:
+        beside += f"; 90 % of the cells from {low:.3g} to {high:.3g} m"
+    return Answer(what, f"{measured(float(value), float(sd))} m", beside)
+
+
+def ripple_words(outcome: Outcome) -> str:
+    """Say what ripples were found, in a sentence."""
+    good = _good(outcome)
+    if not good:
+        return "No cell has ripples with a converged estimate."
+    parts = []
+    for text, name in (
+        ("wavelength", "wavelength"),
+        ("height (crest to trough)", "crest_to_trough"),
+    ):
+        value, sd = np.median(_table(good, name)[:, :2], axis=0)
+        parts.append(f"{text} {measured(float(value), float(sd))} m")
+    steepness = np.median(_table(good, "steepness")[:, 0])
+    count = f"{len(good)} cells have" if len(good) > 1 else "1 cell has"
+    return f"{count} ripples; medians: {', '.join(parts)}, steepness {steepness:.3f}."
+
+
+def summary_lines(outcome: Outcome) -> Iterator[str]:
+    """Say how a run went, in about a dozen lines.
+
+    Parameters
+    ----------
+    outcome : Outcome
+
+    Yields
+    ------
+    str
+    """
+    counts = ", ".join(f"{count} {label}" for label, count in outcome.counts().items())
+    if outcome.fused:
+        yield f"cells: {counts}"
+        yield f"ripples: {ripple_words(outcome)}"
+        yield f"looks: {outcome.computed} computed, {outcome.kept} kept from earlier runs"
+    if outcome.sediments:
+        areas = (f"{c['name']} {c['area_m2']:.0f} m²" for c in outcome.sediments)
+        yield f"sediments: {', '.join(areas)}"
+    if outcome.failures:
+        yield f"failed: {len(outcome.failures)}, listed in run.json"
+    stages: dict[str, Any] = outcome.seconds
+    spent = ", ".join(f"{k} {v:.1f}" for k, v in stages.items())
+    yield f"time: {duration(sum(stages.values()))} (seconds: {spent})"
+    yield f"products: {len(outcome.written)} files in {outcome.output}"
+    last = {p.name for p in outcome.written}
+    if PROJECT in last:
+        yield f"look at: {outcome.output / PROJECT} (QGIS)"
+    if REPORT in last:
+        yield f"look at: {outcome.output / REPORT}"

@@ -1,0 +1,122 @@
+"""Outlines of a survey's rippled floor: cells that touch are traced together, across borders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+from sasmap.products.extent import Outline, outlines, write_extent
+from sasmap.run.manifest import Outcome
+from sasmap.run.plan import Plan
+from sasmap.run.store import Store
+from sasmap.run.task import CERTAIN, UNSEEN, Context, extent_beside
+from sasmap.survey.cells import Cell
+
+FloatArray = NDArray[np.float64]
+
+# Pixels a side of a place of the mosaic, fewer where waves are short, and the most places at once.
+COARSE, LARGEST = 5, 40_000_000
+# Places a wavelength, at least.
+FINE = 6.0
+BESIDE = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+Found = dict[tuple[int, int], dict[int, tuple[NDArray[Any], FloatArray]]]
+
+
+def write_ripple_extent(plan: Plan, store: Store, outcome: Outcome) -> Path:
+    """Write ripple_extent.gpkg.
+
+    Parameters
+    ----------
+    plan : Plan
+    store : Store
+    outcome : Outcome
+        With the finished cells.
+
+    Returns
+    -------
+    Path
+    """
+    found = _found(store, outcome)
+    context = Context(plan, store)
+    areas: list[Outline] = []
+    for cells in _groups(found, plan):
+        areas += _traced(context, found, cells)
+    path = store.output / "ripple_extent.gpkg"
+    write_extent(path, areas, plan.opened.grid.crs, store.scratch)
+    return path
+
+
+def _found(store: Store, outcome: Outcome) -> Found:
+    """Places and references of the cells with ripples, by look."""
+    found: Found = {}
+    for cell, keys in outcome.keys.items():
+        for k, key in enumerate(keys):
+            kept = None if key is None else store.load_arrays(key, ("rippled", "reference"))
+            if kept is not None:
+                found.setdefault(cell, {})[k] = (kept[0], kept[1])
+    return found
+
+
+def _groups(found: Found, plan: Plan) -> Iterator[list[tuple[int, int]]]:
+    """Rippled cells that touch each other, with those between and beside them."""
+    grid = plan.opened.grid
+    there = np.zeros((grid.rows + 2, grid.columns + 2), bool)
+    for row, column in found:
+        there[row : row + 3, column + 1] = True
+        there[row + 1, column : column + 3] = True
+    groups, count = label(there, np.ones((3, 3)))
+    for i in range(1, count + 1):
+        rows, columns = np.nonzero(groups == i)
+        cells = zip((rows - 1).tolist(), (columns - 1).tolist(), strict=True)
+        yield [c for c in cells if 0 <= c[0] < grid.rows and 0 <= c[1] < grid.columns]
+
+
+def _traced(context: Context, found: Found, cells: list[tuple[int, int]]) -> list[Outline]:
+    """Outlines of a group of cells."""
+    plan = context.plan
+    grid, window = plan.opened.grid, plan.settings.window
+    lengths = [1 / np.hypot(*r[:2]) for c in cells for _, r in found.get(c, {}).values()]
+    wavelength = float(np.median(lengths))
+    size = int(np.clip(wavelength / (grid.size / window) / FINE, 1, COARSE))
+    first = np.min(cells, axis=0)
+    shape = np.max(cells, axis=0) - first + 1
+    size = max(size, int(np.ceil(window * np.sqrt(shape.prod() / LARGEST))))
+    side = -(-window // size)
+    mosaic = np.full(tuple(shape * side), np.nan)
+    own = np.zeros(mosaic.shape, bool)
+    for cell in cells:
+        row, column = (np.array(cell) - first) * side
+        part = np.s_[row : row + side, column : column + side]
+        mosaic[part] = _places(context, found, cell, size)
+        own[part] = cell in found
+    left = grid.left + first[1] * grid.size
+    top = grid.top - first[0] * grid.size
+    step = grid.size / side
+    return outlines(mosaic, own, wavelength, Affine(step, 0.0, left, 0.0, -step, top))
+
+
+def _places(context: Context, found: Found, cell: tuple[int, int], size: int) -> FloatArray:
+    """Probability of rippled floor of a cell's places: the mean of its looks."""
+    looks = [rippled for rippled, _ in found.get(cell, {}).values()]
+    if not looks:
+        around = [found.get((cell[0] + r, cell[1] + c), {}) for r, c in BESIDE]
+        for k in sorted({k for a in around for k in a}):
+            references = [a[k][1] for a in around if k in a]
+            beside = extent_beside(context, Cell(*cell), k, references)
+            looks += [] if beside is None else [beside]
+    window = context.plan.settings.window
+    side = -(-window // size)
+    edges = np.linspace(0, window, side + 1).astype(int)[:-1]
+    total, seen = np.zeros((side, side)), np.zeros((side, side))
+    for look in looks:
+        known = look != UNSEEN
+        for sums, values in ((total, np.where(known, look / CERTAIN, 0.0)), (seen, 1.0 * known)):
+            sums += np.add.reduceat(np.add.reduceat(values, edges, axis=0), edges, axis=1)
+    return np.where(seen > 0, total / np.maximum(seen, 1), np.nan)

@@ -1,0 +1,122 @@
+"""Display scaling (gamma near 1) that leaves a contrast which honest speckle could have too.
+
+A power of the amplitude stretches its logarithm and keeps the shape of the logarithm's
+distribution. Texture (K distribution) widens the logarithm as well, but makes it less skewed, and
+structure within a block widens large blocks more than small ones. Quantiles are used, not
+cumulants (Nicolas, Traitement du Signal 19:139, 2002, gives those), because rounding to whole grey
+levels spoils the low tail.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.survey.lattice import FloatArray
+
+# Pixels a side of large and small blocks, and the share of the blocks, those of least width, that
+# are looked at: in them structure of the sea floor is least.
+LARGE, SMALL, SHARE = 16, 8, 0.25
+# Quantiles of log amplitude that give its width and skewness.
+QUANTILES = (0.1, 0.5, 0.9)
+# Width of the large blocks of Rayleigh speckle, by simulation of 961 blocks.
+RAYLEIGH_WIDTH = 1.419
+# Grey levels that a block's mean must have: below, rounding decides on the tenth percentile.
+FEWEST_STEPS = 8.0
+# Large blocks below which the skewness strays by more than the limits are apart (0.01 at 200).
+FEWEST_BLOCKS = 200
+# Limits from 60 simulated ripple fields (wavelengths of 12 to 140 pixels, slopes of 0.02 to 0.35,
+# K shapes of 1.5 and more, three noise levels), each as it is and with gamma 1.2. As they are, the
+# width is under 1.62 or the skewness above -0.16, or shadows give a skewness under -0.23 or a ratio
+# of widths under 0.86. With gamma 1.2 on speckle without texture: 1.75, -0.19 and 0.91.
+WIDTH, SKEWNESS, RATIO = 1.63, (-0.225, -0.165), 0.88
+# Below this width, with a skewness above this, amplitude was compressed or averaged. Speckle that
+# is correlated over two or three pixels is as narrow (1.35 to 1.32), at a skewness of -0.19 to
+# -0.23; gamma 0.85 on two rippled scenes gives 1.30 and 1.32 at -0.17.
+NARROW, NARROW_SKEWNESS = 1.335, -0.185
+
+
+class LogShape(NamedTuple):
+    """Shape of log amplitude in the blocks of least width.
+
+    Attributes
+    ----------
+    blocks : int
+        Blocks that were compared, before the narrowest were taken.
+    width : float
+        From the first to the last quantile.
+    skewness : float
+        Of the quantiles, -1 to 1 (Bowley's).
+    """
+
+    blocks: int
+    width: float
+    skewness: float
+
+
+def found_gamma(sample: list[FloatArray], step: float) -> float | None:
+    """Estimate the gamma of display scaling where speckle tells it.
+
+    Parameters
+    ----------
+    sample : list of ndarray (rows, columns)
+        Pieces of a tile, NaN where there is nothing.
+    step : float
+        Smallest difference between two values.
+
+    Returns
+    -------
+    float or None
+        Gamma, about; None where the numbers can be amplitude, or are too few or coarse to tell.
+        Between about 0.9 and 1.13 it cannot be told from correlation or texture.
+    """
+    large = log_shape(sample, LARGE, step)
+    if large.blocks < FEWEST_BLOCKS:
+        return None
+    if large.width < NARROW and large.skewness > NARROW_SKEWNESS:
+        return large.width / RAYLEIGH_WIDTH
+    if large.width < WIDTH or not SKEWNESS[0] < large.skewness < SKEWNESS[1]:
+        return None
+    if log_shape(sample, SMALL, step).width < RATIO * large.width:
+        return None
+    return large.width / RAYLEIGH_WIDTH
+
+
+def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
+    """Take the shape of log amplitude from the blocks of a sample.
+
+    Parameters
+    ----------
+    sample : list of ndarray (rows, columns)
+    side : int
+        Pixels a side of a block.
+    step : float
+        Smallest difference between two values; rounding to it is spread evenly.
+    """
+    parts = [_blocks(piece, side, step) for piece in sample]
+    blocks = np.concatenate(parts) if parts else np.empty((0, side**2))
+    if not blocks.size:
+        return LogShape(0, np.nan, np.nan)
+    # rounded numbers have ties, which move quantiles: an even offset within the step, the same for
+    # every block, takes them apart
+    spread = (np.arange(side**2) * 0.6180339887498949) % 1.0 - 0.5  # golden ratio: evenly spread
+    blocks = np.log(np.maximum(blocks + step * spread, 0.25 * step))
+    blocks -= np.median(blocks, axis=1, keepdims=True)
+    low, _, high = np.quantile(blocks, QUANTILES, axis=1)
+    narrow = np.argsort(high - low, kind="stable")[: max(int(SHARE * blocks.shape[0]), 1)]
+    low, middle, high = np.quantile(blocks[narrow], QUANTILES)
+    return LogShape(
+        blocks.shape[0], float(high - low), float((high + low - 2.0 * middle) / (high - low))
+    )
+
+
+def _blocks(piece: FloatArray, side: int, step: float) -> NDArray[np.float64]:
+    """Cut a piece into blocks, a row each; those that are dark or have gaps are left out."""
+    rows, columns = (n // side for n in piece.shape)
+    cut = piece[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    blocks = cut.transpose(0, 2, 1, 3).reshape(-1, side**2)
+    blocks = blocks[np.isfinite(blocks).all(axis=1)]
+    bright = (blocks.mean(axis=1) > FEWEST_STEPS * step) & (blocks.min(axis=1) >= 0)
+    return np.asarray(blocks[bright & (blocks.std(axis=1) > 0)], float)

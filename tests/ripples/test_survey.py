@@ -1,0 +1,176 @@
+"""What looks share, learned from looks whose truth is known."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sasmap.ripples import RippleSettings
+from sasmap.ripples.fusion import fuse_cells, learn_survey
+from sasmap.ripples.looks import (
+    LAW_MEAN,
+    LAW_VARIANCE,
+    Information,
+    multiplied,
+    normalised,
+    widened,
+)
+from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.rendering import contrast_per_slope
+from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
+
+SETTINGS = RippleSettings()
+ALTITUDE = 5.0
+
+
+def seen(rng, f, height, law, grazing, with_shadow, altitude_error=0.0):
+    """Posterior of a look that tells contrast to 2 %, and with shadow A_H over altitude to 3 %."""
+    tangent = np.tan(np.radians(grazing))
+    contrast = np.log(height) + log_contrast(law, tangent)
+    mean = np.array([np.log(f), contrast, 40.0, *LAW_MEAN])
+    mean[:3] += rng.normal(0, [1e-3, 0.02, 0.3])
+    mean[1] += altitude_error
+    covariance = np.diag([1e-3, 0.02, 0.3, *np.sqrt(LAW_VARIANCE)]) ** 2
+    if with_shadow:  # a measurement of log A_H, linear about the true law
+        row = np.array([0, 1, 0, *-contrast_slopes(law, tangent)])
+        known = row @ mean - log_contrast(law, tangent) - row[3:] @ law
+        measured = np.log(height) + altitude_error + rng.normal(0, 0.03)
+        gain = covariance @ row / (row @ covariance @ row + 0.03**2)
+        mean = mean + gain * (measured - known)
+        covariance = covariance - np.outer(gain, row @ covariance)
+    return Summary(
+        Quality.GOOD,
+        LeftOut(0),
+        mean=(f, height),
+        sd=(1e-3 * f, 0.05 * height),
+        azimuth=(40.0, 0.3),
+        mixture=((1.0, *mean, *covariance.ravel()),),
+        tangent=tangent,
+        altitude=ALTITUDE,
+        altitude_gain=1.0,
+        altitude_sd=0.05,
+        ess_bulk=(1,) * 3,
+    )
+
+
+def survey(seed, cells, shadowed, passes=1, law=(2.2, 0.1), spread=(0.15, 0.05), errors=None):
+    """Cells of one survey and their true (f, A_H)."""
+    rng = np.random.default_rng(seed)
+    errors = np.zeros(passes) if errors is None else errors
+    found, truth = [], []
+    for i in range(cells):
+        f = rng.uniform(0.4, 1.2)
+        height = 0.045 / f * np.exp(rng.normal(0, 0.4))
+        own = rng.normal(law, spread)
+        found.append(
+            [seen(rng, f, height, own, rng.uniform(8, 30), i < shadowed, error) for error in errors]
+        )
+        truth.append(height)
+    return found, np.array(truth)
+
+
+def heights(cells, model):
+    fused = fuse_cells(cells, SETTINGS, model)
+    low, high, mean = (
+        np.array([getattr(c.final, name)[1] for c in fused]) for name in ("q05", "q95", "mean")
+    )
+    return low, mean, high, fused
+
+
+def test_contrast_is_that_of_the_rendered_wavelength():
+    for law in ([2.0, 0.0], [0.5, 1.2]):
+        for tangent in (0.1, 0.6):
+            expected = np.log(contrast_per_slope(*law, tangent))
+            assert log_contrast(np.array(law), tangent) == pytest.approx(expected)
+            step = 1e-6
+            for i, slope in enumerate(contrast_slopes(np.array(law), tangent)):
+                moved = np.array(law)
+                moved[i] += step
+                rise = (log_contrast(moved, tangent) - log_contrast(np.array(law), tangent)) / step
+                assert slope == pytest.approx(rise, rel=1e-4)
+
+
+def test_factors_multiply_and_blur_as_gaussians_do():
+    rng = np.random.default_rng(1)
+    roots = rng.normal(size=(2, 3, 3))
+    covariance = roots @ roots.transpose(0, 2, 1) + np.eye(3)
+    mean = rng.normal(size=(2, 3))
+    factors = []
+    for m, c in zip(mean, covariance, strict=True):
+        precision = np.linalg.inv(c)
+        level = stats.multivariate_normal(m, c).logpdf(np.zeros(3))
+        factors.append(
+            Information(np.array([[level]]), (precision @ m)[None, None], precision[None, None])
+        )
+    sd = np.array([0.3, 1.0, 2.0])
+    blurred = widened(factors[0], sd)
+    level, centre, spread = normalised(blurred)
+    np.testing.assert_allclose(centre[0, 0], mean[0], rtol=1e-9)
+    np.testing.assert_allclose(spread[0, 0], covariance[0] + np.diag(sd**2), rtol=1e-9)
+    log_2pi = 1.5 * np.log(2 * np.pi)
+    assert level[0, 0] + log_2pi == pytest.approx(0.0, abs=1e-9)
+    both = normalised(multiplied(*factors))
+    expected = stats.multivariate_normal(mean[0], covariance.sum(axis=0)).logpdf(mean[1])
+    assert both[0][0, 0] + log_2pi == pytest.approx(expected)
+
+
+def test_shadow_in_some_cells_tells_the_height_of_the_others():
+    cells, truth = survey(2, 80, 20)
+    model = learn_survey(cells, SETTINGS, 1)
+    low, mean, high, _ = heights(cells, model)
+    inside = (low < truth) & (truth < high)
+    assert inside[:20].mean() >= 0.75
+    assert inside[20:].mean() >= 0.8
+    assert np.median(np.abs(mean / truth - 1)[20:]) < 0.1
+    alone, _, wide, _ = heights(cells[20:], learn_survey(cells[20:], SETTINGS, 1))
+    assert np.median((wide - alone) / (high - low)[20:]) > 4  # nothing breaks the tie
+    quantiles = model.quantiles()
+    assert quantiles["law"][0][0] < 2.2 < quantiles["law"][2][0]
+
+
+def test_a_law_that_changes_from_cell_to_cell_is_not_taken_for_one():
+    narrow = learn_survey(survey(3, 80, 40, spread=(0.05, 0.02))[0], SETTINGS, 1).middle.spread[0]
+    cells, truth = survey(3, 80, 40, spread=(0.6, 0.05))
+    model = learn_survey(cells, SETTINGS, 1)
+    assert model.middle.spread[0] > 2 * narrow
+    low, _, high, _ = heights(cells, model)
+    assert ((low < truth) & (truth < high))[40:].mean() >= 0.8
+
+
+def test_a_wrong_altitude_of_one_pass_is_found():
+    cells, truth = survey(4, 40, 40, passes=3, errors=np.array([0.0, 0.0, -0.03]))
+    model = learn_survey(cells, SETTINGS, 1)
+    offset = model.quantiles()["offset"]
+    # heights 3 % too low: the sonar was 3 % higher than the navigation says
+    assert offset[0][2] - offset[1][0] < 0.03 * ALTITUDE < offset[2][2] - offset[1][0] + 0.05
+    assert abs(offset[1][2] - offset[1][0] - 0.03 * ALTITUDE) < 0.06
+    low, _, high, fused = heights(cells, model)
+    assert ((low < truth) & (truth < high)).mean() >= 0.75
+    assert np.mean([c.quality is Quality.CONTRADICTION for c in fused]) <= 0.05
+
+
+def test_honest_passes_agree_and_false_ones_do_not():
+    cells, truth = survey(5, 40, 20, passes=4)
+    model = learn_survey(cells, SETTINGS, 1)
+    low, _, high, fused = heights(cells, model)
+    assert sum(c.quality is Quality.CONTRADICTION for c in fused) <= 1
+    assert ((low < truth) & (truth < high)).mean() >= 0.8
+    reverse = learn_survey([c[::-1] for c in cells], SETTINGS, 1)
+    again = fuse_cells([c[::-1] for c in cells], SETTINGS, reverse)
+    moved = [
+        abs(a.final.mean[1] - b.final.mean[1]) / a.final.sd[1]
+        for a, b in zip(fused, again, strict=True)
+    ]
+    assert np.median(moved) < 0.1
+    rng = np.random.default_rng(6)
+    for row, height in zip(cells[:20], truth[:20], strict=True):
+        row[1] = seen(rng, 1.2 * row[0].mean[0], height, np.array([2.2, 0.1]), 15, True)
+    fused = fuse_cells(cells, SETTINGS, learn_survey(cells, SETTINGS, 1))
+    assert all(c.qualities[1] is Quality.CONTRADICTION for c in fused[:20])
+
+
+def test_the_same_looks_give_the_same_model():
+    cells, _ = survey(7, 12, 6)
+    first, second = (learn_survey(cells, SETTINGS, 3) for _ in range(2))
+    for a, b in zip(first.values, second.values, strict=True):
+        for one, other in zip(a, b, strict=True):
+            np.testing.assert_array_equal(one, other)
