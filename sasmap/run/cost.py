@@ -14,10 +14,10 @@ import numpy as np
 from sasmap.errors import InputError
 from sasmap.ripples import rendering
 from sasmap.run.plan import Plan
-from sasmap.run.sediment_map import SAMPLE
 from sasmap.run.store import Store
 from sasmap.run.task import finished_looks, try_look
 from sasmap.run.wording import duration, size
+from sasmap.sediments.segmentation import SAMPLE
 
 # Seconds of a look at a cell on one core where none can be timed: flat sea floor a pixel, and
 # ripples, whose cost hardly depends on the window (the sample survey on a 2.5 GHz core).

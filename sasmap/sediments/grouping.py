@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
 from sasmap.numerics.gaussians import expectation_maximisation, log_densities
+from sasmap.numerics.threads import mapped
+from sasmap.sediments.floor import Flat, Part, around, blocks_in
 from sasmap.sediments.texture import LAGS, MARGIN, SCALES, channels
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN
 
@@ -18,8 +20,6 @@ Labels = NDArray[np.int64]
 MOST_CLASSES = 8
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
-# Rows of pixels that are described at once.
-STRIPE = 512
 # Blocks a side over which texture is described: 48 pixels.
 AROUND = 3
 # Blocks a side that must be free of other groups around one whose texture is its own: texture is
@@ -124,23 +124,29 @@ def _sliced(points: FloatArray, n: int) -> FloatArray:
 
 
 def textured_groups(
-    logs: Sequence[FloatArray],
+    flat: Sequence[Flat],
     labels: Labels,
     dark: NDArray[np.bool_],
     count: int | None,
+    chosen: Sequence[Part],
+    workers: int | None = 1,
 ) -> tuple[Labels, bool]:
     """Group blocks by amplitude and texture.
 
     Parameters
     ----------
-    logs : sequence of ndarray (rows, columns)
-        Log amplitude of each look, without its trend; NaN where there is none.
+    flat : sequence of Flat
+        Each look without its trend.
     labels : ndarray of int (block rows, block columns)
         Groups by amplitude; -1 for none.
     dark : ndarray of bool (block rows, block columns)
         Blocks of no sediment.
     count : int or None
         Groups; found where None.
+    chosen : sequence of tuple of slice
+        Tiles whose texture is described.
+    workers : int or None
+        Threads.
 
     Returns
     -------
@@ -149,7 +155,7 @@ def textured_groups(
     needed : bool
         Whether amplitude alone has put unlike textures together.
     """
-    described = _described(logs, dark)
+    described = _described(flat, dark, chosen, workers)
     index = np.nonzero(np.isfinite(described[..., 0]))
     points = np.ascontiguousarray(described[index])
     groups = grouped(points, (SCATTER,) * points.shape[1], count or 1, count)
@@ -161,7 +167,12 @@ def textured_groups(
     return result, any(_mixed(described, labels, dark, k) for k in range(int(labels.max()) + 1))
 
 
-def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArray:
+def _described(
+    flat: Sequence[Flat],
+    dark: NDArray[np.bool_],
+    chosen: Sequence[Part],
+    workers: int | None,
+) -> FloatArray:
     """Texture of blocks and those around them (block rows, block columns, 9), NaN where unknown.
 
     Mean log amplitude, log variances of it at each scale but the coarsest, and log mean squares of
@@ -170,8 +181,8 @@ def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArra
     total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
     looks = np.zeros(dark.shape)
     near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
-    for look in logs:
-        sums = _texture_sums(look) * ~dark[..., None]
+    for look in flat:
+        sums = _texture_sums(look, dark.shape, chosen, workers) * ~dark[..., None]
         sums = np.stack([_around(s) for s in np.moveaxis(sums, -1, 0)])
         count, means = sums[0], sums[1:] / np.maximum(sums[0], 1)
         enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
@@ -188,24 +199,28 @@ def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArra
     return np.where(looks[..., None] > 0, total / np.maximum(looks, 1)[..., None], np.nan)
 
 
-def _texture_sums(logs: FloatArray) -> FloatArray:
-    """Add up over blocks (block rows, block columns, 13), stripe by stripe.
+def _texture_sums(
+    look: Flat, shape: tuple[int, ...], chosen: Sequence[Part], workers: int | None
+) -> FloatArray:
+    """Add up over blocks (block rows, block columns, 13), tile by tile; 0 in no tile.
 
     Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
     squares of differences.
     """
     split = len(SCALES) - 1
-    stripes = []
-    whole = logs.shape[0] // BLOCK * BLOCK
-    for top in range(0, whole, STRIPE):
-        bottom = min(top + STRIPE, whole)
-        first = max(top - MARGIN, 0)
-        found = channels(logs[first : bottom + MARGIN])[:, top - first : bottom - first]
+    result = np.zeros((*shape, 1 + 2 * split + len(LAGS)))
+
+    def add(part: Part) -> None:
+        wide, inner = around(part, MARGIN, look.shape)
+        found = channels(look.logs(wide))[:, *inner]
         known = np.isfinite(found[0]).astype(np.float32)
         found = np.nan_to_num(found)
         layers = [known, *found[:split], *(v**2 for v in (*found[:split], *found[split + 1 :]))]
-        stripes.append(np.stack([_block_sums(v) for v in layers], axis=-1))
-    return np.concatenate(stripes)
+        result[blocks_in(part)] = np.stack([_block_sums(v) for v in layers], axis=-1)
+
+    for _ in mapped(add, chosen, workers):
+        pass
+    return result
 
 
 def _block_sums(values: NDArray[np.floating]) -> FloatArray:
