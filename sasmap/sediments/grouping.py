@@ -74,7 +74,7 @@ def grouped(
     return np.asarray(np.argmax(log_densities(every, best), axis=1))
 
 
-def pruned(labels: Labels, least: int) -> Labels:
+def pruned(labels: Labels, least: int, judged: NDArray[np.bool_] | None = None) -> Labels:
     """Leave out groups that lie between others alone: blocks that two sediments share.
 
     Parameters
@@ -83,6 +83,8 @@ def pruned(labels: Labels, least: int) -> Labels:
         -1 for none.
     least : int
         Groups that are left.
+    judged : ndarray of bool (block rows, block columns), optional
+        Blocks whose neighbours were all looked at. Default all.
 
     Returns
     -------
@@ -94,7 +96,8 @@ def pruned(labels: Labels, least: int) -> Labels:
         mine = labels == k
         # neighbours that are uneven tell nothing
         inside = binary_erosion(mine | (labels < 0), np.ones((3, 3)), border_value=1) & mine
-        core[k] = inside.sum() / mine.sum()
+        known = mine if judged is None or not (mine & judged).any() else mine & judged
+        core[k] = (inside & known).sum() / known.sum()
     order = sorted(there, key=lambda k: core[k])
     lost = [k for k in order if core[k] < CORE][: max(len(there) - least, 0)]
     kept = [k for k in there if k not in lost]
@@ -156,15 +159,20 @@ def textured_groups(
         Whether amplitude alone has put unlike textures together.
     """
     described = _described(flat, dark, chosen, workers)
+    shown = _inner(chosen, dark.shape)
+    described[~shown] = np.nan
+    judged = binary_erosion(shown, np.ones((3, 3)), border_value=1)
     index = np.nonzero(np.isfinite(described[..., 0]))
     points = np.ascontiguousarray(described[index])
     groups = grouped(points, (SCATTER,) * points.shape[1], count or 1, count)
     result = np.full(labels.shape, -1)
     result[index] = _united(points, groups, count or 1, APART)
-    result = pruned(result, count or 1)
+    result = pruned(result, count or 1, judged)
     points, groups = described[result >= 0], result[result >= 0]
     result[result >= 0] = _united(points, groups, count or 1, APART if count is None else np.inf)
-    return result, any(_mixed(described, labels, dark, k) for k in range(int(labels.max()) + 1))
+    return result, any(
+        _mixed(described, labels, dark, k, judged) for k in range(int(labels.max()) + 1)
+    )
 
 
 def _described(
@@ -201,14 +209,14 @@ def _described(
 
 def _texture_sums(
     look: Flat, shape: tuple[int, ...], chosen: Sequence[Part], workers: int | None
-) -> FloatArray:
+) -> NDArray[np.float32]:
     """Add up over blocks (block rows, block columns, 13), tile by tile; 0 in no tile.
 
     Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
     squares of differences.
     """
     split = len(SCALES) - 1
-    result = np.zeros((*shape, 1 + 2 * split + len(LAGS)))
+    result = np.zeros((*shape, 1 + 2 * split + len(LAGS)), np.float32)
 
     def add(part: Part) -> None:
         wide, inner = around(part, MARGIN, look.shape)
@@ -234,7 +242,21 @@ def _around(sums: FloatArray) -> FloatArray:
     return np.asarray(uniform_filter(sums, AROUND, mode="constant"))
 
 
-def _mixed(described: FloatArray, groups: Labels, dark: NDArray[np.bool_], k: int) -> bool:
+def _inner(chosen: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Blocks of some tiles, all neighbours of which are in tiles."""
+    mask = np.zeros(shape, bool)
+    for part in chosen:
+        mask[blocks_in(part)] = True
+    return np.asarray(binary_erosion(mask, np.ones((AROUND, AROUND)), border_value=1))
+
+
+def _mixed(
+    described: FloatArray,
+    groups: Labels,
+    dark: NDArray[np.bool_],
+    k: int,
+    judged: NDArray[np.bool_],
+) -> bool:
     """Whether a group by amplitude holds two textures, each with a place of its own."""
     mine = groups == k
     # blocks of no group are uneven and tell nothing, but shadow and other groups are near
@@ -246,7 +268,7 @@ def _mixed(described: FloatArray, groups: Labels, dark: NDArray[np.bool_], k: in
     points = np.ascontiguousarray(described[inside][:, 1:])
     labels = np.full(mine.shape, -1)
     labels[inside] = _united(points, grouped(points, (SCATTER,) * points.shape[1], 1), 1, APART)
-    labels = pruned(labels, 1)
+    labels = pruned(labels, 1, judged)
     shares = np.bincount(labels[labels >= 0]) / inside.sum()
     return bool((shares > RARE).sum() > 1)
 

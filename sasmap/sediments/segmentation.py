@@ -55,9 +55,9 @@ APART = 0.02
 ALIKE = 0.005
 # Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
 WITHIN = 0.7
-# Pixels, of all looks, whose texture is described, and pixels a side of the tiles they are in where
-# a survey has more of them.
-SAMPLE, SAMPLED_SIDE = 6_000_000, 256
+# Pixels, of all looks, whose texture is described (at most some 250 MB, by blocks) and from which
+# textures are learned; and pixels a side of the tiles they are in where a survey has more of them.
+DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 6_000_000, 256
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
 LEAST_SAMPLES, MARKED = 50, 0.9
@@ -152,7 +152,7 @@ def find_classes(
     # groups that are one sediment first: each would be beside the other everywhere
     labels, _ = _merged(flat, labels, count or 1, factor, APART)
     labels = pruned(labels, count or 1)
-    chosen = _sampled(flat, labels)
+    chosen = _sampled(flat, labels, DESCRIBED)
     textured, mixed = textured_groups(flat, labels, dark, count, chosen, workers)
     labels, laws = _merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
     others = _laws(flat, textured, factor)
@@ -168,16 +168,16 @@ def find_classes(
     texture = None
     if needed:
         number = np.append(np.argsort(order), -1) + 1  # the last is of blocks of no class
-        texture = _learned(flat, number[labels], len(laws), chosen)
+        texture = _learned(flat, number[labels], len(laws), _sampled(flat, labels, SAMPLE))
     return Classes(sorted_laws, trends, centre, factor, none, texture)
 
 
-def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64]) -> list[Part]:
-    """Tiles whose texture is described."""
+def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> list[Part]:
+    """Tiles of so many pixels, of all looks, at most."""
     shape = flat[0].shape
-    if shape[0] * shape[1] * len(flat) <= SAMPLE:
+    if shape[0] * shape[1] * len(flat) <= pixels:
         return tiles(shape)
-    most = max(SAMPLE // (SAMPLED_SIDE**2 * len(flat)), 4)
+    most = max(pixels // (SAMPLED_SIDE**2 * len(flat)), 4)
     return chosen_tiles(shape, SAMPLED_SIDE, most, labels)
 
 

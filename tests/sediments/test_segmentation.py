@@ -247,7 +247,8 @@ def test_a_sample_finds_what_the_whole_survey_shows(seed, monkeypatch):
     looks = looks_at(truth, seed)
     whole, label = mapped(looks)
     # four tiles of 256 pixels of nine
-    monkeypatch.setattr(segmentation, "SAMPLE", 500_000)
+    for limit in ("DESCRIBED", "SAMPLE"):
+        monkeypatch.setattr(segmentation, limit, 500_000)
     monkeypatch.setattr(floor, "SAMPLED_BLOCKS", 100)
     sampled, again = mapped(looks)
     assert len(sampled.laws) == len(whole.laws) == 3
