@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.threads import mapped
+from sasmap.sediments.bands import Bands
 from sasmap.sediments.trends import (
     BLOCK,
     AmplitudeGrid,
@@ -43,11 +44,17 @@ class Flat:
         Log gain, slope and bend.
     centre : float
         Log of the cotangent that they are about.
+    bands : Bands or None
+        Gain by range, beyond the trend.
+    number : int
+        Of the look in those.
     """
 
     look: AmplitudeGrid
     trend: FloatArray
     centre: float
+    bands: Bands | None = None
+    number: int = 0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -58,7 +65,10 @@ class Flat:
     def __getitem__(self, part: Any) -> FloatArray:
         """Return amplitudes of a part; NaN where there is none."""
         place = log_cotangent(np.asarray(self.look.cotangent[part], float)) - self.centre
-        return np.asarray(self.look.amplitude[part] * np.exp(-trend_of(self.trend, place)))
+        gain = trend_of(self.trend, place)
+        if self.bands is not None:
+            gain = gain + self.bands.of(self.number, place)
+        return np.asarray(self.look.amplitude[part] * np.exp(-gain))
 
     def logs(self, part: Any) -> FloatArray:
         """Return log amplitudes of a part; NaN where there is none."""

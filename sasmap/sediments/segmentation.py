@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sasmap.numerics.looks import effective_samples
+from sasmap.sediments.bands import Bands, find_bands
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import (
     TILE,
@@ -69,6 +70,9 @@ DARK, DARKER, LEAST_DARK = 1.6, 0.58, 4
 GAIN_SD = 0.35
 GAINS = np.linspace(-1.5, 1.5, 13)
 GAIN_ROUNDS = 10
+# Gain by range that makes no classes, and that which surely moves them: log amplitude from the
+# least to the greatest (0.4 and 1.7 dB).
+SLIGHT, PLAIN = 0.05, 0.2
 # Scatter of blocks' mean and log variance about their class's.
 SCATTER = (0.05, 0.15)
 
@@ -92,6 +96,8 @@ class Classes:
         Of what is too dark to be sediment: shadow, water column.
     texture : Texture or None
         Laws at several scales, where amplitude alone does not tell the classes.
+    bands : Bands or None
+        Gain by range that would else have been sediments, though no two looks confirm them.
     """
 
     laws: tuple[Law, ...]
@@ -100,6 +106,7 @@ class Classes:
     noise_factor: float
     dark: Law | None = None
     texture: Texture | None = None
+    bands: Bands | None = None
 
     @property
     def every(self) -> tuple[Law, ...]:
@@ -109,7 +116,8 @@ class Classes:
     def log_trend(self, look: int, cotangent: FloatArray) -> FloatArray:
         """Log of the amplitude that a look's gain and trend make."""
         t = log_cotangent(cotangent) - self.centre
-        return trend_of(self.trends[look], t)
+        gain = trend_of(self.trends[look], t)
+        return gain if self.bands is None else gain + self.bands.of(look, t)
 
 
 def find_classes(
@@ -138,6 +146,28 @@ def find_classes(
         Where no block of any look is known.
     """
     blocks, centre = gather(looks, None, workers)
+    found = _found(looks, blocks, centre, count, workers)
+    if count is not None or len(found.laws) < 2:
+        return found
+    bands = find_bands(blocks, first_trends(blocks))
+    if bands.span < SLIGHT:
+        return found
+    flat = [b._replace(mean=b.mean - bands.of(k, b.place)) for k, b in enumerate(blocks)]
+    fewer = _found(looks, flat, centre, count, workers, bands)
+    # what follows range alone is no sediment; else the trend suffices
+    most = len(found.laws) - (bands.span < PLAIN)
+    return fewer if len(fewer.laws) <= most else found
+
+
+def _found(
+    looks: Sequence[AmplitudeGrid],
+    blocks: list[Blocks],
+    centre: float,
+    count: int | None,
+    workers: int | None,
+    bands: Bands | None = None,
+) -> Classes:
+    """Find classes by blocks that are free of bands of gain, if there are any."""
     first = trends = first_trends(blocks)
     dark = _dark(blocks, trends)
     for _ in range(3):
@@ -147,7 +177,7 @@ def find_classes(
     factor = noise_factor(looks, blocks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
-    flat = [Flat(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
+    flat = [Flat(looks[k], trend, centre, bands, k) for k, trend in enumerate(trends)]
     none = _dark_law(flat, dark, factor)
     # groups that are one sediment first: each would be beside the other everywhere
     labels, _ = _merged(flat, labels, count or 1, factor, APART)
@@ -169,7 +199,7 @@ def find_classes(
     if needed:
         number = np.append(np.argsort(order), -1) + 1  # the last is of blocks of no class
         texture = _learned(flat, number[labels], len(laws), _sampled(flat, labels, SAMPLE))
-    return Classes(sorted_laws, trends, centre, factor, none, texture)
+    return Classes(sorted_laws, trends, centre, factor, none, texture, bands)
 
 
 def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> list[Part]:
