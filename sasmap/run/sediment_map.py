@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from sasmap.numerics.threads import mapped
 from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
 from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
+from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
 from sasmap.sediments.texture import MARGIN, SHARED
@@ -54,6 +55,39 @@ class Quantised:
         return np.asarray(self.values[part] * np.float32(self.step), np.float32)
 
 
+class Drawn(NamedTuple):
+    """Amplitudes of a class on some blocks of the map.
+
+    Attributes
+    ----------
+    edges : ndarray (n,)
+        Of bins, from 0.
+    counts : ndarray (n,)
+        Of pixels in each bin, and of those above the last edge.
+    mean_square : float
+    """
+
+    edges: NDArray[np.float64]
+    counts: NDArray[np.float64]
+    mean_square: float
+
+    def histogram(self) -> dict[str, list[float]]:
+        """Return ``edges`` and ``counts`` of what lies between the edges."""
+        return {"edges": self.edges.tolist(), "counts": self.counts[:-1].tolist()}
+
+    def beyond(self, law: Law) -> float | None:
+        """Share of pixels that are more than a law has in their bins; None where there are none."""
+        total = self.counts.sum()
+        if not total:
+            return None
+        over = self.counts / total - shares(law, self.edges)
+        return round(float(np.maximum(over, 0).sum()), 4)
+
+    def level(self, first: float) -> float | None:
+        """Mean intensity of the pixels over another, dB; None where there are none."""
+        return _decibels(self.mean_square / first) if self.mean_square > 0 else None
+
+
 @dataclass(frozen=True)
 class SedimentMap:
     """A survey's sediments; the rasters last until the canvases are closed.
@@ -78,26 +112,24 @@ class SedimentMap:
     surface: Surface
     rippled: Canvas
 
-    def histograms(self) -> list[dict[str, list[float]]]:
-        """Amplitudes of each class on the map, less gain and trend, of some blocks.
-
-        Returns
-        -------
-        list of dict
-            ``edges`` and ``counts`` of each class.
-        """
+    def drawn(self) -> list[Drawn]:
+        """Gather amplitudes of each class on the map, less gain and trend, of some blocks."""
         top = [4 * np.sqrt(law.mean_square) for law in self.classes.laws]
-        edges = [np.linspace(0, v, BINS + 1) for v in top]
-        counts = [np.zeros(BINS) for _ in top]
+        edges = [np.append(np.linspace(0, v, BINS + 1), np.inf) for v in top]
+        counts = [np.zeros(BINS + 1) for _ in top]
+        power = np.zeros(len(top))
         for part in _thinned(self.surface.blocks(DRAWN_SIDE), DRAWN):
             label = self.label[part]
             for k, look in enumerate(self.surface.part(part)):
                 trend = self.classes.log_trend(k, np.nan_to_num(look.cotangent, nan=1.0))
                 flat = look.amplitude * np.exp(-trend)
                 for i, count in enumerate(counts):
-                    count += np.histogram(flat[label == i + 1], edges[i])[0]
+                    values = flat[(label == i + 1) & np.isfinite(flat)]
+                    count += np.histogram(values, edges[i])[0]
+                    power[i] += (values**2).sum()
         return [
-            {"edges": e.tolist(), "counts": c.tolist()} for e, c in zip(edges, counts, strict=True)
+            Drawn(e[:-1], c, float(p / max(c.sum(), 1)))
+            for e, c, p in zip(edges, counts, power, strict=True)
         ]
 
     def renumbered(self, number: NDArray[np.uint8]) -> tuple[Line, ...]:
@@ -128,13 +160,15 @@ class SedimentMap:
             total += np.bincount(self.label[slice(top, top + SIDE)].ravel(), minlength=256)
         return total
 
-    def table(self, pixel_area: float) -> list[dict[str, Any]]:
+    def table(self, pixel_area: float, drawn: Sequence[Drawn]) -> list[dict[str, Any]]:
         """Class by class what ``run.json`` says.
 
         Parameters
         ----------
         pixel_area : float
             m^2.
+        drawn : sequence of Drawn
+            Of :meth:`drawn`.
 
         Returns
         -------
@@ -144,6 +178,9 @@ class SedimentMap:
         if not self.classes.laws:
             return []
         first = self.classes.laws[0].mean_square
+        bands = self.classes.bands
+        # a span of log amplitude
+        gain = None if bands is None else _decibels(float(np.exp(2 * bands.span)))
         return [
             {
                 "number": i + 1,
@@ -151,11 +188,25 @@ class SedimentMap:
                 "law": law.family,
                 "nu": None if not np.isfinite(law.nu) else round(law.nu, 4),
                 "kappa": round(law.kappa, 4),
-                "intensity_dB_over_first": round(10 * float(np.log10(law.mean_square / first)), 3),
+                "intensity_dB_over_first": _decibels(law.mean_square / first),
+                "intensity_of_pixels_dB_over_first": one.level(first),
+                "divergence_of_fit": _rounded(law.divergence),
+                "share_beyond_law": one.beyond(law),
+                "taken_for_gain_by_range_dB": gain,
                 "area_m2": round(float(pixels[i + 1]) * pixel_area, 3),
             }
-            for i, (name, law) in enumerate(zip(self.names, self.classes.laws, strict=True))
+            for i, (name, law, one) in enumerate(
+                zip(self.names, self.classes.laws, drawn, strict=True)
+            )
         ]
+
+
+def _decibels(ratio: float) -> float:
+    return round(10 * float(np.log10(ratio)), 3)
+
+
+def _rounded(value: float) -> float | None:
+    return round(float(value), 5) if np.isfinite(value) else None
 
 
 def map_sediments(

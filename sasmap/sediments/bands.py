@@ -3,7 +3,8 @@
 A gain of range alone is fitted to what it can be told by. Where looks from two sides or ranges see
 one block, the floor is the same in both and the difference is gain. Where one look alone does, all
 that follows range over its line is taken for gain: neighbouring blocks across range differ by it,
-but for those few between which a boundary runs (Cauchy weights, as for the first trends).
+but for those few between which a boundary runs. Those count for next to nothing (Geman-McClure
+weights): with Cauchy's, a slightly oblique boundary of 1.8 dB went into the gain.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ LAGS = 3
 DIFFERENT = 0.1
 # Share of a look's blocks that another look must see as well to be told by.
 SHARED = 0.3
+# Change of log gain from bin to bin (0.9 dB) from which its middle says little of a pixel's.
+STEEP = 0.1
 # Weight that holds gains at 0 where nothing tells them, of that of one pair.
 RIDGE, ROUNDS = 1e-3, 30
 
@@ -54,6 +57,26 @@ class Bands(NamedTuple):
     def of(self, look: int, place: FloatArray) -> FloatArray:
         """Log gain of a look at log cotangents about the centre."""
         return np.asarray(np.interp(place, self.places[look], self.gains[look]))
+
+
+def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
+    """Find blocks of any look within which the gain changes too much to be taken off pixels.
+
+    Parameters
+    ----------
+    bands : Bands
+    blocks : sequence of Blocks
+
+    Returns
+    -------
+    ndarray of bool (block rows, block columns)
+    """
+    result = np.zeros(blocks[0].mean.shape, bool)
+    for block, place, gain in zip(blocks, *bands, strict=True):
+        jump = np.abs(np.diff(gain))
+        most = np.maximum(np.append(jump, 0.0), np.append(0.0, jump))
+        result |= (block.known > 0) & (np.interp(block.place, place, most) > STEEP)
+    return result
 
 
 def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:
@@ -157,7 +180,7 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
     for _ in range(ROUNDS):
         rest = change - gain[first] + gain[second]
         scale = 1.5 * np.median(np.abs(rest)) + 1e-9
-        weight = 1 / (1 + (rest / scale) ** 2)
+        weight = 1 / (1 + (rest / scale) ** 2) ** 2
         joined = np.bincount(first * count + second, weight, minlength=count**2)
         joined = joined.reshape(count, count)
         joined += joined.T

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sasmap.numerics.looks import effective_samples
-from sasmap.sediments.bands import Bands, find_bands
+from sasmap.sediments.bands import Bands, find_bands, steep
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import (
     TILE,
@@ -183,7 +183,8 @@ def _found(
     labels, _ = _merged(flat, labels, count or 1, factor, APART)
     labels = pruned(labels, count or 1)
     chosen = _sampled(flat, labels, DESCRIBED)
-    textured, mixed = textured_groups(flat, labels, dark, count, chosen, workers)
+    unclear = dark if bands is None else dark | steep(bands, blocks)
+    textured, mixed = textured_groups(flat, labels, unclear, count, chosen, workers)
     labels, laws = _merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
     others = _laws(flat, textured, factor)
     # where amplitude suffices, it has the sharper boundaries
