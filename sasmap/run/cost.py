@@ -14,10 +14,10 @@ import numpy as np
 from sasmap.errors import InputError
 from sasmap.ripples import rendering
 from sasmap.run.plan import Plan
-from sasmap.run.sediment_map import SAMPLE
 from sasmap.run.store import Store
 from sasmap.run.task import finished_looks, try_look
 from sasmap.run.wording import duration, size
+from sasmap.sediments.segmentation import DESCRIBED, SAMPLE
 
 # Seconds of a look at a cell on one core where none can be timed: flat sea floor a pixel, and
 # ripples, whose cost hardly depends on the window (the sample survey on a 2.5 GHz core).
@@ -108,7 +108,7 @@ def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
         low, high = low + left * ends[0], high + left * ends[1]
     if survey.sediments is not None:
         pixels = len(plan.cells) * cell + 0.2 * cost.looks * cell
-        mapped = MAPPED * pixels + FOUND * min(SAMPLE, cost.looks * cell)
+        mapped = MAPPED * pixels + FOUND * min(DESCRIBED, cost.looks * cell)
         low, high = low + mapped, high + mapped
     return FIXED + low / threads, FIXED + high / threads
 

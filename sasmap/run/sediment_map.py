@@ -1,4 +1,4 @@
-"""The sediment map of a survey: classes from a sample of its surface, mapped block by block.
+"""The sediment map of a survey: classes of its surface, mapped block by block.
 
 Everything of the map's size lies on disk; memory does not grow with the survey.
 """
@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,11 @@ from sasmap.numerics.threads import mapped
 from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
 from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
+from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
 from sasmap.sediments.texture import MARGIN, SHARED
-from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 
-FloatArray = NDArray[np.float64]
-
-# Pixels, of all looks, from which classes are found, and pixels a side of the blocks they are in.
-SAMPLE, SAMPLED_SIDE = 6_000_000, 256
 # Pixels a side of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
@@ -37,8 +33,9 @@ STEP, DEEPEST = 0.1, 12.7
 PROBABILITY = 0.002
 # Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
 FEWEST_RIPPLED = 4096
-# Bins of a class's amplitudes in the report, and blocks that they are of, at most.
-BINS, DRAWN = 40, 24
+# Bins of a class's amplitudes in the report; blocks that they are of, at most, and their pixels a
+# side.
+BINS, DRAWN, DRAWN_SIDE = 40, 24, 256
 
 
 class Quantised:
@@ -56,6 +53,39 @@ class Quantised:
     def __getitem__(self, part: Any) -> NDArray[np.float32]:
         """Return nats of a part of the map."""
         return np.asarray(self.values[part] * np.float32(self.step), np.float32)
+
+
+class Drawn(NamedTuple):
+    """Amplitudes of a class on some blocks of the map.
+
+    Attributes
+    ----------
+    edges : ndarray (n,)
+        Of bins, from 0.
+    counts : ndarray (n,)
+        Of pixels in each bin, and of those above the last edge.
+    mean_square : float
+    """
+
+    edges: NDArray[np.float64]
+    counts: NDArray[np.float64]
+    mean_square: float
+
+    def histogram(self) -> dict[str, list[float]]:
+        """Return ``edges`` and ``counts`` of what lies between the edges."""
+        return {"edges": self.edges.tolist(), "counts": self.counts[:-1].tolist()}
+
+    def beyond(self, law: Law) -> float | None:
+        """Share of pixels that are more than a law has in their bins; None where there are none."""
+        total = self.counts.sum()
+        if not total:
+            return None
+        over = self.counts / total - shares(law, self.edges)
+        return round(float(np.maximum(over, 0).sum()), 4)
+
+    def level(self, first: float) -> float | None:
+        """Mean intensity of the pixels over another, dB; None where there are none."""
+        return _decibels(self.mean_square / first) if self.mean_square > 0 else None
 
 
 @dataclass(frozen=True)
@@ -82,26 +112,24 @@ class SedimentMap:
     surface: Surface
     rippled: Canvas
 
-    def histograms(self) -> list[dict[str, list[float]]]:
-        """Amplitudes of each class on the map, less gain and trend, of some blocks.
-
-        Returns
-        -------
-        list of dict
-            ``edges`` and ``counts`` of each class.
-        """
+    def drawn(self) -> list[Drawn]:
+        """Gather amplitudes of each class on the map, less gain and trend, of some blocks."""
         top = [4 * np.sqrt(law.mean_square) for law in self.classes.laws]
-        edges = [np.linspace(0, v, BINS + 1) for v in top]
-        counts = [np.zeros(BINS) for _ in top]
-        for part in _thinned(self.surface.blocks(SAMPLED_SIDE), DRAWN):
+        edges = [np.append(np.linspace(0, v, BINS + 1), np.inf) for v in top]
+        counts = [np.zeros(BINS + 1) for _ in top]
+        power = np.zeros(len(top))
+        for part in _thinned(self.surface.blocks(DRAWN_SIDE), DRAWN):
             label = self.label[part]
             for k, look in enumerate(self.surface.part(part)):
                 trend = self.classes.log_trend(k, np.nan_to_num(look.cotangent, nan=1.0))
                 flat = look.amplitude * np.exp(-trend)
                 for i, count in enumerate(counts):
-                    count += np.histogram(flat[label == i + 1], edges[i])[0]
+                    values = flat[(label == i + 1) & np.isfinite(flat)]
+                    count += np.histogram(values, edges[i])[0]
+                    power[i] += (values**2).sum()
         return [
-            {"edges": e.tolist(), "counts": c.tolist()} for e, c in zip(edges, counts, strict=True)
+            Drawn(e[:-1], c, float(p / max(c.sum(), 1)))
+            for e, c, p in zip(edges, counts, power, strict=True)
         ]
 
     def renumbered(self, number: NDArray[np.uint8]) -> tuple[Line, ...]:
@@ -132,13 +160,15 @@ class SedimentMap:
             total += np.bincount(self.label[slice(top, top + SIDE)].ravel(), minlength=256)
         return total
 
-    def table(self, pixel_area: float) -> list[dict[str, Any]]:
+    def table(self, pixel_area: float, drawn: Sequence[Drawn]) -> list[dict[str, Any]]:
         """Class by class what ``run.json`` says.
 
         Parameters
         ----------
         pixel_area : float
             m^2.
+        drawn : sequence of Drawn
+            Of :meth:`drawn`.
 
         Returns
         -------
@@ -148,6 +178,9 @@ class SedimentMap:
         if not self.classes.laws:
             return []
         first = self.classes.laws[0].mean_square
+        bands = self.classes.bands
+        # a span of log amplitude
+        gain = None if bands is None else _decibels(float(np.exp(2 * bands.span)))
         return [
             {
                 "number": i + 1,
@@ -155,11 +188,25 @@ class SedimentMap:
                 "law": law.family,
                 "nu": None if not np.isfinite(law.nu) else round(law.nu, 4),
                 "kappa": round(law.kappa, 4),
-                "intensity_dB_over_first": round(10 * float(np.log10(law.mean_square / first)), 3),
+                "intensity_dB_over_first": _decibels(law.mean_square / first),
+                "intensity_of_pixels_dB_over_first": one.level(first),
+                "divergence_of_fit": _rounded(law.divergence),
+                "share_beyond_law": one.beyond(law),
+                "taken_for_gain_by_range_dB": gain,
                 "area_m2": round(float(pixels[i + 1]) * pixel_area, 3),
             }
-            for i, (name, law) in enumerate(zip(self.names, self.classes.laws, strict=True))
+            for i, (name, law, one) in enumerate(
+                zip(self.names, self.classes.laws, drawn, strict=True)
+            )
         ]
+
+
+def _decibels(ratio: float) -> float:
+    return round(10 * float(np.log10(ratio)), 3)
+
+
+def _rounded(value: float) -> float | None:
+    return round(float(value), 5) if np.isfinite(value) else None
 
 
 def map_sediments(
@@ -207,7 +254,7 @@ def map_sediments(
         return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
 
     surface = lay(ground, known, workers, scratch, stack, progress)
-    classes = _classes(surface, count, known)
+    classes = _classes(surface, count, known, workers)
     if classes is None:
         return None
     kept = [canvas(f"likelihood{k}", "int8") for k in range(len(classes.every))]
@@ -273,7 +320,7 @@ def _mark_rippled(
 
 
 def _without_empty(found: SedimentMap) -> SedimentMap:
-    """Name classes, and number them without those that the sample held but the map does not."""
+    """Name classes, and number them without those that the map does not hold."""
     pixels = found.pixels()
     there = [k for k in range(len(found.classes.laws)) if pixels[k + 1] > 0]
     number = np.zeros(256, np.uint8)
@@ -307,42 +354,19 @@ def _classify(
     confidence[part] = np.rint(found.probability[inner] / PROBABILITY) * PROBABILITY
 
 
-def _classes(surface: Surface, count: int | None, known: ClassModel | None) -> Classes | None:
-    """Classes from a sample of the survey; None where that shows nothing."""
-    looks, marks = _sampled(surface)
-    if not any(np.isfinite(look.amplitude).any() for look in looks):
+def _classes(
+    surface: Surface, count: int | None, known: ClassModel | None, workers: int | None
+) -> Classes | None:
+    """Find, take over or learn classes; None where no look shows the floor."""
+    looks = surface.slices()
+    if not surface.shown(workers):
         return None
     if known is None:
-        return find_classes(looks, count)
+        return find_classes(looks, count, workers)
     if known.laws:
-        found = carry_over(looks, known.laws, known.centre)
+        found = carry_over(looks, known.laws, known.centre, workers)
         return replace(found, texture=known.texture)
-    return train_classes(looks, np.nan_to_num(marks).astype(np.uint8), len(known.names))
-
-
-def _sampled(surface: Surface) -> tuple[list[AmplitudeGrid], FloatArray]:
-    """Take blocks that speak for the survey, side by side, with marks."""
-    rows, columns = surface.shape
-    if rows * columns * len(surface.looks) <= SAMPLE:
-        marks = np.zeros(surface.shape) if surface.marks is None else surface.marks[surface.whole]
-        return surface.part(surface.whole), np.asarray(marks, float)
-    most = max(SAMPLE // (SAMPLED_SIDE**2 * len(surface.looks)), 4)
-    every = surface.blocks(SAMPLED_SIDE)
-    if surface.marks is None:
-        parts = _thinned(every, most)
-    else:
-        marked = [p for p in every if surface.marks[p].any()]
-        rest = [p for p in every if p not in marked]
-        parts = _thinned(marked, most // 2) + _thinned(rest, most // 2)
-    read = [surface.part(p) for p in parts]
-    width = int(np.ceil(np.sqrt(len(parts))))
-    looks = [
-        AmplitudeGrid(*(_laid([one[k][i] for one in read], width) for i in range(2)))
-        for k in range(len(surface.looks))
-    ]
-    if surface.marks is None:
-        return looks, np.zeros(looks[0].amplitude.shape)
-    return looks, _laid([surface.marks[p] for p in parts], width)
+    return train_classes(looks, surface.marks, len(known.names), workers)
 
 
 def _thinned(parts: list[Part], most: int) -> list[Part]:
@@ -350,17 +374,6 @@ def _thinned(parts: list[Part], most: int) -> list[Part]:
     if len(parts) <= most:
         return parts
     return [parts[int(k)] for k in np.unique(np.linspace(0, len(parts) - 1, most).round())]
-
-
-def _laid(parts: Sequence[NDArray[Any]], width: int) -> FloatArray:
-    """Lay blocks side by side, apart by a block of statistics."""
-    step = SAMPLED_SIDE + BLOCK
-    height = -(-len(parts) // width)
-    result = np.full((height * step, width * step), np.nan)
-    for i, part in enumerate(parts):
-        row, column = (v * step for v in divmod(i, width))
-        result[row : row + part.shape[0], column : column + part.shape[1]] = part
-    return result
 
 
 def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:

@@ -47,6 +47,7 @@ def sediment_stage(
     if kept is None:
         return _map(plan, store, outcome, workers, key, progress)
     outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
+    _warn(outcome)
     return [store.output / name for name in kept["files"]]
 
 
@@ -77,6 +78,7 @@ def _kept(store: Store, key: str) -> dict[str, Any] | None:
         if (
             record["key"] != key
             or "histograms" not in record
+            or any("taken_for_gain_by_range_dB" not in one for one in record["table"])
             or set(record["files"]) - set(SEDIMENT_PRODUCTS)
         ):
             return None
@@ -125,13 +127,27 @@ def _map(
             tags_of(plan),
             store.scratch,
         )
-        outcome.sediments = found.table(abs(transform.determinant))
-        outcome.histograms = found.histograms()
+        drawn = found.drawn()
+        outcome.sediments = found.table(abs(transform.determinant), drawn)
+        outcome.histograms = [one.histogram() for one in drawn]
+    _warn(outcome)
     written.append(store.output / "sediment_classes.json")
     write_text(written[-1], model_text(found.names, codes, found.classes), store.scratch)
     if not reader.faults:
         _keep(store, key, outcome, written)
     return written
+
+
+def _warn(outcome: Outcome) -> None:
+    """Say where what might be sediments was taken for gain."""
+    gain = outcome.sediments[0]["taken_for_gain_by_range_dB"] if outcome.sediments else None
+    if gain is not None:
+        outcome.warnings.append(
+            f"sediments: levels that follow range over a whole line, by up to {gain:.1f} dB, are "
+            "taken for gain or beam pattern; a pass from another side or range would tell whether "
+            "they are sediments"
+        )
+        log.warning("warning: %s", outcome.warnings[-1])
 
 
 def _keep(store: Store, key: str, outcome: Outcome, written: list[Path]) -> None:

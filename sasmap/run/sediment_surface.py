@@ -65,6 +65,21 @@ class Look(NamedTuple):
     profile: Any
 
 
+class Slices:
+    """A look's amplitude, ripples taken off, or cotangents: slices are read."""
+
+    def __init__(self, look: Look, amplitude: bool) -> None:
+        self._look, self._amplitude = look, amplitude
+        self.shape: tuple[int, int] = look.amplitude.shape
+
+    def __getitem__(self, part: Any) -> FloatArray:
+        """Read a slice; NaN where there is no amplitude."""
+        if not self._amplitude:
+            return np.asarray(self._look.cotangent[part], float)
+        profile = np.asarray(self._look.profile[part], float)
+        return np.asarray(_known(self._look.amplitude[part]) * np.exp(-profile))
+
+
 class Surface(NamedTuple):
     """All looks at a survey; slices are read.
 
@@ -85,12 +100,19 @@ class Surface(NamedTuple):
 
     def part(self, part: Part) -> list[AmplitudeGrid]:
         """Amplitudes of all looks, ripples taken off; NaN where there is none."""
-        found = []
-        for look in self.looks:
-            amplitude = _known(look.amplitude[part])
-            amplitude *= np.exp(-look.profile[part].astype(float))
-            found.append(AmplitudeGrid(amplitude, look.cotangent[part].astype(float)))
-        return found
+        return [AmplitudeGrid(one.amplitude[part], one.cotangent[part]) for one in self.slices()]
+
+    def slices(self) -> list[AmplitudeGrid]:
+        """All looks, to be read by slices."""
+        return [AmplitudeGrid(*(Slices(k, v) for v in (True, False))) for k in self.looks]
+
+    def shown(self, workers: int | None) -> bool:
+        """Whether a look shows a pixel of the floor."""
+
+        def one(part: Part) -> bool:
+            return any(bool((look.amplitude[part] > 0).any()) for look in self.looks)
+
+        return any(mapped(one, self.blocks(4 * PIECE), workers))
 
     @property
     def whole(self) -> Part:

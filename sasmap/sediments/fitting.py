@@ -424,3 +424,24 @@ def _first_best(laws: Sequence[Law]) -> Law:
 def _criterion(law: Law) -> float:
     parameters = sum(FREE[law.family])
     return law.log_likelihood - 0.5 * parameters * float(np.log(max(law.samples, 2.0)))
+
+
+def shares(law: Law, edges: FloatArray) -> FloatArray:
+    """Probabilities of bins of amplitude, and of all above the last.
+
+    Parameters
+    ----------
+    law : Law
+    edges : ndarray (n,)
+        Rising, from 0.
+
+    Returns
+    -------
+    ndarray (n,)
+        Their sum is 1.
+    """
+    # up to 100 and down to 1e-7 of the root mean square there is all that counts
+    logs = np.linspace(-16, 4.6, 4000) + 0.5 * np.log(law.mean_square)
+    weight = np.exp(law.log_density(np.exp(logs)) + logs)
+    below = np.interp(np.log(edges[1:]), logs, np.cumsum(weight) / weight.sum())
+    return np.diff(np.concatenate([[0.0], below, [1.0]]))

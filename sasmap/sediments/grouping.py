@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
 from sasmap.numerics.gaussians import expectation_maximisation, log_densities
+from sasmap.numerics.threads import mapped
+from sasmap.sediments.floor import Flat, Part, around, blocks_in
 from sasmap.sediments.texture import LAGS, MARGIN, SCALES, channels
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN
 
@@ -18,8 +20,6 @@ Labels = NDArray[np.int64]
 MOST_CLASSES = 8
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
-# Rows of pixels that are described at once.
-STRIPE = 512
 # Blocks a side over which texture is described: 48 pixels.
 AROUND = 3
 # Blocks a side that must be free of other groups around one whose texture is its own: texture is
@@ -74,7 +74,7 @@ def grouped(
     return np.asarray(np.argmax(log_densities(every, best), axis=1))
 
 
-def pruned(labels: Labels, least: int) -> Labels:
+def pruned(labels: Labels, least: int, judged: NDArray[np.bool_] | None = None) -> Labels:
     """Leave out groups that lie between others alone: blocks that two sediments share.
 
     Parameters
@@ -83,6 +83,8 @@ def pruned(labels: Labels, least: int) -> Labels:
         -1 for none.
     least : int
         Groups that are left.
+    judged : ndarray of bool (block rows, block columns), optional
+        Blocks whose neighbours were all looked at. Default all.
 
     Returns
     -------
@@ -94,7 +96,8 @@ def pruned(labels: Labels, least: int) -> Labels:
         mine = labels == k
         # neighbours that are uneven tell nothing
         inside = binary_erosion(mine | (labels < 0), np.ones((3, 3)), border_value=1) & mine
-        core[k] = inside.sum() / mine.sum()
+        known = mine if judged is None or not (mine & judged).any() else mine & judged
+        core[k] = (inside & known).sum() / known.sum()
     order = sorted(there, key=lambda k: core[k])
     lost = [k for k in order if core[k] < CORE][: max(len(there) - least, 0)]
     kept = [k for k in there if k not in lost]
@@ -124,23 +127,29 @@ def _sliced(points: FloatArray, n: int) -> FloatArray:
 
 
 def textured_groups(
-    logs: Sequence[FloatArray],
+    flat: Sequence[Flat],
     labels: Labels,
     dark: NDArray[np.bool_],
     count: int | None,
+    chosen: Sequence[Part],
+    workers: int | None = 1,
 ) -> tuple[Labels, bool]:
     """Group blocks by amplitude and texture.
 
     Parameters
     ----------
-    logs : sequence of ndarray (rows, columns)
-        Log amplitude of each look, without its trend; NaN where there is none.
+    flat : sequence of Flat
+        Each look without its trend.
     labels : ndarray of int (block rows, block columns)
         Groups by amplitude; -1 for none.
     dark : ndarray of bool (block rows, block columns)
         Blocks of no sediment.
     count : int or None
         Groups; found where None.
+    chosen : sequence of tuple of slice
+        Tiles whose texture is described.
+    workers : int or None
+        Threads.
 
     Returns
     -------
@@ -149,19 +158,29 @@ def textured_groups(
     needed : bool
         Whether amplitude alone has put unlike textures together.
     """
-    described = _described(logs, dark)
+    described = _described(flat, dark, chosen, workers)
+    shown = _inner(chosen, dark.shape)
+    described[~shown] = np.nan
+    judged = binary_erosion(shown, np.ones((3, 3)), border_value=1)
     index = np.nonzero(np.isfinite(described[..., 0]))
     points = np.ascontiguousarray(described[index])
     groups = grouped(points, (SCATTER,) * points.shape[1], count or 1, count)
     result = np.full(labels.shape, -1)
     result[index] = _united(points, groups, count or 1, APART)
-    result = pruned(result, count or 1)
+    result = pruned(result, count or 1, judged)
     points, groups = described[result >= 0], result[result >= 0]
     result[result >= 0] = _united(points, groups, count or 1, APART if count is None else np.inf)
-    return result, any(_mixed(described, labels, dark, k) for k in range(int(labels.max()) + 1))
+    return result, any(
+        _mixed(described, labels, dark, k, judged) for k in range(int(labels.max()) + 1)
+    )
 
 
-def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArray:
+def _described(
+    flat: Sequence[Flat],
+    dark: NDArray[np.bool_],
+    chosen: Sequence[Part],
+    workers: int | None,
+) -> FloatArray:
     """Texture of blocks and those around them (block rows, block columns, 9), NaN where unknown.
 
     Mean log amplitude, log variances of it at each scale but the coarsest, and log mean squares of
@@ -170,8 +189,8 @@ def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArra
     total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
     looks = np.zeros(dark.shape)
     near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
-    for look in logs:
-        sums = _texture_sums(look) * ~dark[..., None]
+    for look in flat:
+        sums = _texture_sums(look, dark.shape, chosen, workers) * ~dark[..., None]
         sums = np.stack([_around(s) for s in np.moveaxis(sums, -1, 0)])
         count, means = sums[0], sums[1:] / np.maximum(sums[0], 1)
         enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
@@ -188,24 +207,28 @@ def _described(logs: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArra
     return np.where(looks[..., None] > 0, total / np.maximum(looks, 1)[..., None], np.nan)
 
 
-def _texture_sums(logs: FloatArray) -> FloatArray:
-    """Add up over blocks (block rows, block columns, 13), stripe by stripe.
+def _texture_sums(
+    look: Flat, shape: tuple[int, ...], chosen: Sequence[Part], workers: int | None
+) -> NDArray[np.float32]:
+    """Add up over blocks (block rows, block columns, 13), tile by tile; 0 in no tile.
 
     Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
     squares of differences.
     """
     split = len(SCALES) - 1
-    stripes = []
-    whole = logs.shape[0] // BLOCK * BLOCK
-    for top in range(0, whole, STRIPE):
-        bottom = min(top + STRIPE, whole)
-        first = max(top - MARGIN, 0)
-        found = channels(logs[first : bottom + MARGIN])[:, top - first : bottom - first]
+    result = np.zeros((*shape, 1 + 2 * split + len(LAGS)), np.float32)
+
+    def add(part: Part) -> None:
+        wide, inner = around(part, MARGIN, look.shape)
+        found = channels(look.logs(wide))[:, *inner]
         known = np.isfinite(found[0]).astype(np.float32)
         found = np.nan_to_num(found)
         layers = [known, *found[:split], *(v**2 for v in (*found[:split], *found[split + 1 :]))]
-        stripes.append(np.stack([_block_sums(v) for v in layers], axis=-1))
-    return np.concatenate(stripes)
+        result[blocks_in(part)] = np.stack([_block_sums(v) for v in layers], axis=-1)
+
+    for _ in mapped(add, chosen, workers):
+        pass
+    return result
 
 
 def _block_sums(values: NDArray[np.floating]) -> FloatArray:
@@ -219,7 +242,21 @@ def _around(sums: FloatArray) -> FloatArray:
     return np.asarray(uniform_filter(sums, AROUND, mode="constant"))
 
 
-def _mixed(described: FloatArray, groups: Labels, dark: NDArray[np.bool_], k: int) -> bool:
+def _inner(chosen: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Blocks of some tiles, all neighbours of which are in tiles."""
+    mask = np.zeros(shape, bool)
+    for part in chosen:
+        mask[blocks_in(part)] = True
+    return np.asarray(binary_erosion(mask, np.ones((AROUND, AROUND)), border_value=1))
+
+
+def _mixed(
+    described: FloatArray,
+    groups: Labels,
+    dark: NDArray[np.bool_],
+    k: int,
+    judged: NDArray[np.bool_],
+) -> bool:
     """Whether a group by amplitude holds two textures, each with a place of its own."""
     mine = groups == k
     # blocks of no group are uneven and tell nothing, but shadow and other groups are near
@@ -231,7 +268,7 @@ def _mixed(described: FloatArray, groups: Labels, dark: NDArray[np.bool_], k: in
     points = np.ascontiguousarray(described[inside][:, 1:])
     labels = np.full(mine.shape, -1)
     labels[inside] = _united(points, grouped(points, (SCATTER,) * points.shape[1], 1), 1, APART)
-    labels = pruned(labels, 1)
+    labels = pruned(labels, 1, judged)
     shares = np.bincount(labels[labels >= 0]) / inside.sum()
     return bool((shares > RARE).sum() > 1)
 

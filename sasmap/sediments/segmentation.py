@@ -11,20 +11,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sasmap.numerics.looks import effective_samples
+from sasmap.sediments.bands import Bands, find_bands, steep
 from sasmap.sediments.fitting import Law, choose
+from sasmap.sediments.floor import (
+    TILE,
+    Flat,
+    Part,
+    around,
+    chosen_tiles,
+    gather,
+    marked_values,
+    pixels_of,
+    tiles,
+)
 from sasmap.sediments.grouping import grouped, pruned, textured_groups
-from sasmap.sediments.texture import Texture, channels, learn, tells_more
+from sasmap.sediments.texture import DECIDING, MARGIN, Texture, channels, learn, tells_more
 from sasmap.sediments.trends import (
     BLOCK,
     AmplitudeGrid,
     Blocks,
-    block_statistics,
     first_trends,
     log_cotangent,
     refit,
@@ -44,7 +56,9 @@ APART = 0.02
 ALIKE = 0.005
 # Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
 WITHIN = 0.7
-SAMPLES = 60_000
+# Pixels, of all looks, whose texture is described (at most some 250 MB, by blocks) and from which
+# textures are learned; and pixels a side of the tiles they are in where a survey has more of them.
+DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 6_000_000, 256
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
 LEAST_SAMPLES, MARKED = 50, 0.9
@@ -56,6 +70,9 @@ DARK, DARKER, LEAST_DARK = 1.6, 0.58, 4
 GAIN_SD = 0.35
 GAINS = np.linspace(-1.5, 1.5, 13)
 GAIN_ROUNDS = 10
+# Gain by range that makes no classes, and that which surely moves them: log amplitude from the
+# least to the greatest (0.4 and 1.7 dB).
+SLIGHT, PLAIN = 0.05, 0.2
 # Scatter of blocks' mean and log variance about their class's.
 SCATTER = (0.05, 0.15)
 
@@ -79,6 +96,8 @@ class Classes:
         Of what is too dark to be sediment: shadow, water column.
     texture : Texture or None
         Laws at several scales, where amplitude alone does not tell the classes.
+    bands : Bands or None
+        Gain by range that would else have been sediments, though no two looks confirm them.
     """
 
     laws: tuple[Law, ...]
@@ -87,6 +106,7 @@ class Classes:
     noise_factor: float
     dark: Law | None = None
     texture: Texture | None = None
+    bands: Bands | None = None
 
     @property
     def every(self) -> tuple[Law, ...]:
@@ -96,18 +116,25 @@ class Classes:
     def log_trend(self, look: int, cotangent: FloatArray) -> FloatArray:
         """Log of the amplitude that a look's gain and trend make."""
         t = log_cotangent(cotangent) - self.centre
-        return trend_of(self.trends[look], t)
+        gain = trend_of(self.trends[look], t)
+        return gain if self.bands is None else gain + self.bands.of(look, t)
 
 
-def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Classes:
+def find_classes(
+    looks: Sequence[AmplitudeGrid], count: int | None = None, workers: int | None = 1
+) -> Classes:
     """Find the classes of a survey.
+
+    Amplitude is gathered from all of it, by blocks; texture and laws from a part of a large one.
 
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice.
+        On one lattice; slices are read.
     count : int, optional
         How many; found where not given.
+    workers : int, optional
+        Threads.
 
     Returns
     -------
@@ -118,23 +145,46 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     ValueError
         Where no block of any look is known.
     """
-    centre = _centre(looks)
-    blocks = _blocks(looks, centre)
+    blocks, centre = gather(looks, None, workers)
+    found = _found(looks, blocks, centre, count, workers)
+    if count is not None or len(found.laws) < 2:
+        return found
+    bands = find_bands(blocks, first_trends(blocks))
+    if bands.span < SLIGHT:
+        return found
+    flat = [b._replace(mean=b.mean - bands.of(k, b.place)) for k, b in enumerate(blocks)]
+    fewer = _found(looks, flat, centre, count, workers, bands)
+    # what follows range alone is no sediment; else the trend suffices
+    most = len(found.laws) - (bands.span < PLAIN)
+    return fewer if len(fewer.laws) <= most else found
+
+
+def _found(
+    looks: Sequence[AmplitudeGrid],
+    blocks: list[Blocks],
+    centre: float,
+    count: int | None,
+    workers: int | None,
+    bands: Bands | None = None,
+) -> Classes:
+    """Find classes by blocks that are free of bands of gain, if there are any."""
     first = trends = first_trends(blocks)
     dark = _dark(blocks, trends)
     for _ in range(3):
         features, index = _features(blocks, trends, dark)
         groups = grouped(features, FLOOR, count or 1)
         trends = refit(blocks, groups, index, first)
-    factor = noise_factor(looks)
+    factor = noise_factor(looks, blocks)
     labels = np.full(blocks[0].mean.shape, -1)
     labels[index] = groups
-    flat = [_flattened(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
+    flat = [Flat(looks[k], trend, centre, bands, k) for k, trend in enumerate(trends)]
     none = _dark_law(flat, dark, factor)
     # groups that are one sediment first: each would be beside the other everywhere
     labels, _ = _merged(flat, labels, count or 1, factor, APART)
     labels = pruned(labels, count or 1)
-    textured, mixed = textured_groups([_logs(v) for v in flat], labels, dark, count)
+    chosen = _sampled(flat, labels, DESCRIBED)
+    unclear = dark if bands is None else dark | steep(bands, blocks)
+    textured, mixed = textured_groups(flat, labels, unclear, count, chosen, workers)
     labels, laws = _merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
     others = _laws(flat, textured, factor)
     # where amplitude suffices, it has the sharper boundaries
@@ -149,32 +199,54 @@ def find_classes(looks: Sequence[AmplitudeGrid], count: int | None = None) -> Cl
     texture = None
     if needed:
         number = np.append(np.argsort(order), -1) + 1  # the last is of blocks of no class
-        marks = _marks_of(number[labels], looks[0].amplitude.shape)
-        texture = learn([(channels(_logs(v)), marks) for v in flat], len(laws))
-    return Classes(sorted_laws, trends, centre, factor, none, texture)
+        texture = _learned(flat, number[labels], len(laws), _sampled(flat, labels, SAMPLE))
+    return Classes(sorted_laws, trends, centre, factor, none, texture, bands)
 
 
-def _logs(flat: FloatArray) -> FloatArray:
-    """Log amplitude less gain and trend; NaN where there is none."""
-    return np.log(np.where(flat > 0, flat, np.nan))
+def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> list[Part]:
+    """Tiles of so many pixels, of all looks, at most."""
+    shape = flat[0].shape
+    if shape[0] * shape[1] * len(flat) <= pixels:
+        return tiles(shape)
+    most = max(pixels // (SAMPLED_SIDE**2 * len(flat)), 4)
+    return chosen_tiles(shape, SAMPLED_SIDE, most, labels)
 
 
-def _marks_of(blocks: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _learned(
+    flat: Sequence[Flat], labels: NDArray[np.int64], count: int, chosen: Sequence[Part]
+) -> Texture:
+    """Learn textures of blocks' classes (from 1, 0 for none) from some tiles."""
+    parts = []
+    for part in chosen:
+        wide, inner = around(part, MARGIN, flat[0].shape)
+        rows, columns = (slice(s.start // BLOCK, -(-s.stop // BLOCK)) for s in part)
+        marks = _marks_of(labels[rows, columns], [s.stop - s.start for s in part])
+        if marks.any():
+            parts += [(channels(one.logs(wide))[:, *inner], marks) for one in flat]
+    return learn(parts, count, -(-DECIDING * len(flat) // len(parts)))
+
+
+def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int64]:
     """Classes of blocks on their pixels; 0 beyond the last whole block."""
     whole = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
+    whole = whole[: shape[0], : shape[1]]
     return np.pad(whole, [(0, n - m) for n, m in zip(shape, whole.shape, strict=True)])
 
 
-def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], count: int) -> Classes:
+def train_classes(
+    looks: Sequence[AmplitudeGrid], marks: Any, count: int, workers: int | None = 1
+) -> Classes:
     """Learn classes from pixels at which they are known.
 
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice.
-    marks : ndarray of uint8 (rows, columns)
-        1 for the first class, 0 where none is known.
+        On one lattice; slices are read.
+    marks : array of uint8 (rows, columns)
+        1 for the first class, 0 where none is known; slices are read.
     count : int
+    workers : int, optional
+        Threads.
 
     Returns
     -------
@@ -186,22 +258,20 @@ def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], coun
     ValueError
         Where the looks show too few of a class's pixels; or no block at all.
     """
-    centre = _centre(looks)
-    blocks = _blocks(looks, centre)
+    blocks, centre = gather(looks, None, workers)
     trends = first_trends(blocks)
-    labels = _marked_blocks(marks, count)
+    labels = _marked_blocks(marks, blocks[0].mean.shape, count)
     index = np.nonzero(labels >= 0)
     if index[0].size:
         _, groups = np.unique(labels[index], return_inverse=True)
         trends = refit(blocks, groups, index, trends)
-    factor = noise_factor(looks)
-    flat = [_flattened(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
+    factor = noise_factor(looks, blocks)
+    flat = [Flat(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
     laws = []
-    for k in range(1, count + 1):
-        values = _pixels(flat, marks == k)
-        if values.size < LEAST_SAMPLES * factor:
+    for k, (values, known) in enumerate(marked_values(flat, marks, count), 1):
+        if known < LEAST_SAMPLES * factor:
             raise ValueError(
-                f"class {k}: {values.size} known pixels are marked; expected at least "
+                f"class {k}: {known} known pixels are marked; expected at least "
                 f"{int(np.ceil(LEAST_SAMPLES * factor))}"
             )
         laws.append(choose(values, samples=values.size / factor).law)
@@ -210,47 +280,79 @@ def train_classes(looks: Sequence[AmplitudeGrid], marks: NDArray[np.uint8], coun
     return Classes(tuple(laws), trends, centre, factor, none, texture)
 
 
-def _trained_texture(
-    flat: Sequence[FloatArray], marks: NDArray[np.uint8], laws: Sequence[Law]
-) -> Texture | None:
+def _trained_texture(flat: Sequence[Flat], marks: Any, laws: Sequence[Law]) -> Texture | None:
     """Laws at several scales, if they tell the marked pixels apart better than amplitude does."""
     middle = np.log(max(law.mean_square for law in laws)) / 2
     grid = np.linspace(middle - 12, middle + 4, 800)
     table = [law.log_density(np.exp(grid)) for law in laws]
     parts, amplitude = [], []
-    for look in flat:
-        shown = (look > 0) & (marks > 0)
-        if not shown.any():
-            continue
-        # no more of a look than its marks
-        rows, columns = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
-        box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-        logs = _logs(look[box])
-        parts.append((channels(logs), marks[box].astype(np.int64)))
-        amplitude.append(np.stack([np.interp(logs, grid, t) for t in table]))
-    if not tells_more(parts, amplitude, len(laws)):
+    for box in _marked_boxes(marks, flat[0].shape, SAMPLE // len(flat)):
+        here = np.asarray(marks[box])
+        for look in flat:
+            logs = look.logs(box)
+            if (np.isfinite(logs) & (here > 0)).any():
+                parts.append((channels(logs), here.astype(np.int64)))
+                amplitude.append(np.stack([np.interp(logs, grid, t) for t in table]))
+    most = -(-DECIDING * len(flat) // max(len(parts), 1))
+    if not tells_more(parts, amplitude, len(laws), most):
         return None
-    return learn(parts, len(laws))
+    return learn(parts, len(laws), most)
 
 
-def _marked_blocks(marks: NDArray[np.uint8], count: int) -> NDArray[np.int64]:
+def _marked_boxes(marks: Any, shape: tuple[int, ...], most: int) -> list[Part]:
+    """Boxes of marks in tiles, at random so many pixels of them and some of each class."""
+    found, total, seen = [], 0, np.zeros(256, bool)
+    every = tiles(shape)
+    for i in np.random.default_rng(0).permutation(len(every)):
+        part = every[i]
+        here = np.asarray(marks[part])
+        there = np.bincount(here.ravel(), minlength=256)[:256] > 0
+        there[0] = False
+        if not there.any() or (total > most and not (there & ~seen).any()):
+            continue
+        # no more of a tile than its marks
+        ends = [np.flatnonzero(here.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+        rows, columns = (
+            slice(s.start + int(e[0]), s.start + int(e[1]) + 1)
+            for s, e in zip(part, ends, strict=True)
+        )
+        found.append((rows, columns))
+        total += (rows.stop - rows.start) * (columns.stop - columns.start)
+        seen |= there
+    return found
+
+
+def _marked_blocks(marks: Any, lattice: tuple[int, ...], count: int) -> NDArray[np.int64]:
     """Class (from 0) of each block that is marked alike, -1 of others."""
-    rows, columns = (n // BLOCK for n in marks.shape)
-    parts = marks[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
-    share = np.stack([(parts == k).mean(axis=(1, 3)) for k in range(1, count + 1)])
-    return np.where(share.max(axis=0) >= MARKED, np.argmax(share, axis=0), -1)
+    result = np.full(lattice, -1)
+    step = TILE // BLOCK
+    for top in range(0, lattice[0], step):
+        rows = slice(top, min(top + step, lattice[0]))
+        here = np.asarray(marks[slice(rows.start * BLOCK, rows.stop * BLOCK)])
+        here = here[:, : lattice[1] * BLOCK]
+        parts = here.reshape(-1, BLOCK, lattice[1], BLOCK)
+        share = np.stack([(parts == k).mean(axis=(1, 3)) for k in range(1, count + 1)])
+        result[rows] = np.where(share.max(axis=0) >= MARKED, np.argmax(share, axis=0), -1)
+    return result
 
 
-def carry_over(looks: Sequence[AmplitudeGrid], laws: Sequence[Law], centre: float) -> Classes:
+def carry_over(
+    looks: Sequence[AmplitudeGrid],
+    laws: Sequence[Law],
+    centre: float,
+    workers: int | None = 1,
+) -> Classes:
     """Take another survey's classes: find each look's gain and range trend under them.
 
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice.
+        On one lattice; slices are read.
     laws : sequence of Law
     centre : float
         Log of the cotangent of the grazing angle at which they hold.
+    workers : int, optional
+        Threads.
 
     Returns
     -------
@@ -261,7 +363,7 @@ def carry_over(looks: Sequence[AmplitudeGrid], laws: Sequence[Law], centre: floa
     ValueError
         Where no block of any look is known.
     """
-    blocks = _blocks(looks, centre)
+    blocks, _ = gather(looks, centre, workers)
     means, spreads = np.array([_log_moments(law) for law in laws]).T
     first = first_trends(blocks)
     best, best_score = first, -np.inf
@@ -274,8 +376,8 @@ def carry_over(looks: Sequence[AmplitudeGrid], laws: Sequence[Law], centre: floa
         score = level - 0.5 * float(trends[0, 0] / GAIN_SD) ** 2
         if score > best_score:
             best, best_score = trends, score
-    factor = noise_factor(looks)
-    flat = [_flattened(look, trend, centre) for look, trend in zip(looks, best, strict=True)]
+    factor = noise_factor(looks, blocks)
+    flat = [Flat(look, trend, centre) for look, trend in zip(looks, best, strict=True)]
     none = _dark_law(flat, _dark(blocks, best, laws), factor)
     return Classes(tuple(laws), best, centre, factor, none)
 
@@ -307,21 +409,6 @@ def _assigned(
     return np.where(seen, np.argmax(total, axis=0), -1), float(total.max(axis=0)[seen].sum())
 
 
-def _centre(looks: Sequence[AmplitudeGrid]) -> float:
-    seen = [log_cotangent(v[np.isfinite(v)]) for v in (look.cotangent for look in looks)]
-    known = [float(v.mean()) for v in seen if v.size]
-    if not known:
-        raise ValueError("expected a block of known amplitudes")
-    return float(np.mean(known))
-
-
-def _blocks(looks: Sequence[AmplitudeGrid], centre: float) -> list[Blocks]:
-    blocks = [block_statistics(look, centre) for look in looks]
-    if not any((b.known > 0).any() for b in blocks):
-        raise ValueError("expected a block of known amplitudes")
-    return blocks
-
-
 def _dark(blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()) -> NDArray[np.bool_]:
     """Blocks too dark to be sediment, by their neighbourhood's; or by the laws of sediments."""
     level, weight = _levels(blocks, trends)
@@ -332,10 +419,10 @@ def _dark(blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()) ->
     return seen & (level < limit)
 
 
-def _dark_law(flat: Sequence[FloatArray], dark: NDArray[np.bool_], factor: float) -> Law | None:
+def _dark_law(flat: Sequence[Flat], dark: NDArray[np.bool_], factor: float) -> Law | None:
     if dark.sum() < LEAST_DARK:
         return None
-    values = _pixels(flat, _whole(dark))
+    values = pixels_of(flat, dark)
     return choose(values, samples=values.size / factor).law
 
 
@@ -347,11 +434,6 @@ def _levels(blocks: list[Blocks], trends: FloatArray) -> tuple[FloatArray, Float
         axis=0,
     )
     return level / np.maximum(weight, 1), weight
-
-
-def _whole(blocks: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels of blocks."""
-    return np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
 
 
 def _features(
@@ -375,15 +457,30 @@ def _features(
     return np.column_stack([level[index], spread[index]]), index
 
 
-def noise_factor(looks: Sequence[AmplitudeGrid]) -> float:
-    """Pixels to one independent sample, by the middle of each look."""
+def noise_factor(looks: Sequence[AmplitudeGrid], blocks: Sequence[Blocks] | None = None) -> float:
+    """Pixels to one independent sample, by the middle of each look.
+
+    Parameters
+    ----------
+    looks : sequence of AmplitudeGrid
+    blocks : sequence of Blocks, optional
+        Of the looks, if they are to be read in slices.
+
+    Returns
+    -------
+    float
+    """
     factors = []
-    for look in looks:
-        rows, columns = np.nonzero(np.isfinite(look.amplitude))
+    for k, look in enumerate(looks):
+        known = np.isfinite(look.amplitude) if blocks is None else blocks[k].known > 0
+        rows, columns = np.nonzero(known)
         if rows.size == 0:
             continue
         row, column = int(rows[rows.size // 2]), int(columns[rows.size // 2])
-        part = look.amplitude[max(row - 64, 0) : row + 64, max(column - 64, 0) : column + 64]
+        if blocks is not None:
+            row, column = row * BLOCK + BLOCK // 2, column * BLOCK + BLOCK // 2
+        box = slice(max(row - 64, 0), row + 64), slice(max(column - 64, 0), column + 64)
+        part = np.asarray(look.amplitude[box], float)
         # texture and edges are longer than speckle: only what is near counts
         factors.append(np.isfinite(part).sum() / max(effective_samples(_whitened(part)), 1.0))
     return float(max(np.median(factors), 1.0))
@@ -397,33 +494,17 @@ def _whitened(part: FloatArray) -> FloatArray:
     return np.where(known, filled / np.sqrt(np.maximum(local, 1e-30)), np.nan)
 
 
-def _flattened(look: AmplitudeGrid, trend: FloatArray, centre: float) -> FloatArray:
-    place = log_cotangent(look.cotangent) - centre
-    return np.asarray(look.amplitude * np.exp(-trend_of(trend, place)))
-
-
-def _pixels(flat: Sequence[FloatArray], mask: NDArray[np.bool_]) -> FloatArray:
-    """Amplitudes of a class's pixels, flattened; evenly thinned."""
-    rows, columns = mask.shape
-    found = []
-    for look in flat:
-        values = look[:rows, :columns][mask]
-        found.append(values[np.isfinite(values) & (values > 0)])
-    values = np.concatenate(found)
-    return values[:: max(values.size // SAMPLES, 1)]
-
-
-def _laws(flat: Sequence[FloatArray], labels: NDArray[np.int64], factor: float) -> list[Law]:
+def _laws(flat: Sequence[Flat], labels: NDArray[np.int64], factor: float) -> list[Law]:
     laws = []
     for k in range(int(labels.max()) + 1):
-        values = _pixels(flat, _whole(labels == k))
+        values = pixels_of(flat, labels == k)
         if values.size:
             laws.append(choose(values, samples=values.size / factor).law)
     return laws
 
 
 def _merged(
-    flat: Sequence[FloatArray],
+    flat: Sequence[Flat],
     labels: NDArray[np.int64],
     least: int,
     factor: float,

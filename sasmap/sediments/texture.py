@@ -118,7 +118,9 @@ def _apart(level: FloatArray, known: NDArray[np.bool_], axis: int, lag: int) -> 
     return np.where(both, moved(level, ahead) - moved(level, -behind), 0.0)
 
 
-def learn(parts: Sequence[tuple[Single, NDArray[np.integer]]], count: int) -> Texture:
+def learn(
+    parts: Sequence[tuple[Single, NDArray[np.integer]]], count: int, deciding: int = DECIDING
+) -> Texture:
     """Learn what classes look like from pixels at which they are known.
 
     Parameters
@@ -127,6 +129,8 @@ def learn(parts: Sequence[tuple[Single, NDArray[np.integer]]], count: int) -> Te
         Of each look: :func:`channels`, and from 1 the class of each pixel, 0 for none.
     count : int
         Classes; at least two, each of them shown.
+    deciding : int
+        Pixels of a class in a part that decide the weights.
 
     Returns
     -------
@@ -137,7 +141,7 @@ def learn(parts: Sequence[tuple[Single, NDArray[np.integer]]], count: int) -> Te
     ratio = logs - logs[:, :1]
     features, classes = [], []
     for found, marks in shown:
-        chosen = _deciding(marks, count)
+        chosen = _deciding(marks, count, deciding)
         if chosen[0].size:
             features.append(_smoothed(found, low, high, ratio, chosen))
             classes.append(marks[chosen] - 1)
@@ -169,13 +173,13 @@ def _binned(values: NDArray[np.floating], low: float, high: float) -> NDArray[np
     return np.asarray(np.clip(np.nan_to_num(place), 0, BINS - 1), np.int64)
 
 
-def _deciding(marks: NDArray[np.integer], count: int) -> tuple[NDArray[np.int64], ...]:
+def _deciding(marks: NDArray[np.integer], count: int, most: int) -> tuple[NDArray[np.int64], ...]:
     """Pixels of each class, evenly thinned."""
     places = []
     for k in range(1, count + 1):
         index = np.flatnonzero(marks == k)
         # an odd step meets all columns
-        places.append(index[:: max(index.size // DECIDING, 1) | 1])
+        places.append(index[:: max(index.size // most, 1) | 1])
     return np.unravel_index(np.concatenate(places), marks.shape)
 
 
@@ -279,6 +283,7 @@ def tells_more(
     parts: Sequence[tuple[Single, NDArray[np.integer]]],
     amplitude: Sequence[NDArray[np.floating]],
     count: int,
+    deciding: int = DECIDING,
 ) -> bool:
     """Whether texture tells known classes apart better than their amplitude laws do.
 
@@ -290,7 +295,7 @@ def tells_more(
         As :func:`learn` takes them.
     amplitude : sequence of ndarray (classes, rows, columns)
         Log likelihoods of the classes' laws at each pixel of each look.
-    count : int
+    count, deciding : int
 
     Returns
     -------
@@ -308,7 +313,7 @@ def tells_more(
             there = sum(np.bincount(m.ravel(), minlength=count + 1)[1:] for m in side)
             if np.min(there) < FOLD:
                 return False
-        texture = learn(learned, count)
+        texture = learn(learned, count, deciding)
         for (found, _), marks, level in zip(parts, judged, amplitude, strict=True):
             known = np.isfinite(found[0]) & (marks > 0)
             windowed = np.stack(

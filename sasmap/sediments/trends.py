@@ -6,7 +6,7 @@ two sides, or ranges, tell them apart.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ BLOCK = 16
 MIN_KNOWN = 0.6
 # Blocks apart, at most, of pairs that tell the trend.
 LAGS = 4
+# Such pairs of one direction, at most: evenly thinned.
+PAIRS = 100_000
 # How far slope and bend within classes may be from what those say (standard deviation).
 SLOPE_SD = (0.12, 0.3)
 
@@ -27,14 +29,14 @@ class AmplitudeGrid(NamedTuple):
 
     Attributes
     ----------
-    amplitude : ndarray (rows, columns)
-        NaN where there is none, or no sediment (shadow, water column).
-    cotangent : ndarray (rows, columns)
+    amplitude : array (rows, columns)
+        NaN where there is none, or no sediment (shadow, water column). Where said, slices are read.
+    cotangent : array (rows, columns)
         Of the grazing angle: ground range over altitude.
     """
 
-    amplitude: FloatArray
-    cotangent: FloatArray
+    amplitude: Any
+    cotangent: Any
 
 
 class Blocks(NamedTuple):
@@ -96,9 +98,10 @@ def _slope(block: Blocks) -> FloatArray:
             first = [np.moveaxis(v, axis, 0)[lag:] for v in block]
             second = [np.moveaxis(v, axis, 0)[:-lag] for v in block]
             both = (first[2] > 0) & (second[2] > 0)
-            change.append((first[0] - second[0])[both])
-            step.append((first[3] - second[3])[both])
-            bend.append((first[3] ** 2 - second[3] ** 2)[both])
+            every = slice(None, None, max(int(both.sum()) // PAIRS, 1) | 1)
+            change.append((first[0] - second[0])[both][every])
+            step.append((first[3] - second[3])[both][every])
+            bend.append((first[3] ** 2 - second[3] ** 2)[both][every])
     y = np.concatenate(change)
     design = np.column_stack([np.concatenate(step), np.concatenate(bend)])
     if y.size < 20:

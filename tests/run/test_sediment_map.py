@@ -189,3 +189,43 @@ def test_classes_and_model_exclude_each_other(scene):
     path = survey_of(scene, classes=2, model="x.json")
     with pytest.raises(sasmap.errors.InputError, match="expected classes or model, not both"):
         sasmap.load_survey(path)
+
+
+def test_the_table_tells_how_classes_fit(scene, tmp_path):
+    outcome, _ = run(survey_of(scene, classes=2), tmp_path / "two")
+    beyond = max(row["share_beyond_law"] for row in outcome.sediments)
+    for row in outcome.sediments:
+        assert row["share_beyond_law"] < 0.03
+        assert row["taken_for_gain_by_range_dB"] is None
+        level = row["intensity_of_pixels_dB_over_first"]
+        assert level == pytest.approx(row["intensity_dB_over_first"], abs=0.5)
+    assert outcome.warnings == []
+    # no law of one sediment fits a mixture of two
+    model = json.loads((tmp_path / "two" / "sediment_classes.json").read_text())
+    del model["classes"][1]
+    path = tmp_path / "mud.json"
+    path.write_text(json.dumps(model))
+    outcome, _ = run(survey_of(scene, model=str(path)), tmp_path / "one")
+    assert outcome.sediments[0]["share_beyond_law"] > 1.5 * beyond
+
+
+def test_a_band_along_the_track_is_told_as_gain(tmp_path):
+    floor = {
+        **SCENE,
+        "size": [24, 24],
+        "sediments": [
+            {"name": "mud", "level": 0.4},
+            # the track runs east, so ranges are of the same y
+            {"name": "sand", "level": 1.0, "polygon": [[-1, 10], [25, 10], [25, 18], [-1, 18]]},
+        ],
+    }
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(floor))
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "--output", str(tmp_path)]) == 0
+    outcome, label = run(survey_of(tmp_path), tmp_path / "out")
+    assert len(outcome.sediments) == 1
+    assert (label[label > 0] == 1).all()
+    assert outcome.sediments[0]["taken_for_gain_by_range_dB"] > 2
+    (warning,) = outcome.warnings
+    assert "taken for gain" in warning
+    again, _ = run(survey_of(tmp_path), tmp_path / "out")
+    assert again.warnings == [warning]

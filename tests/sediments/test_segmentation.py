@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sasmap.sediments import k_distribution, mapping
+from sasmap.sediments import floor, k_distribution, mapping, segmentation
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import Line, paint, refine_map, traced
 from sasmap.sediments.nodes import Boundary
@@ -34,7 +34,7 @@ def looks_at(truth, seed, count=2, levels=LEVELS, nus=NUS):
     One look alone cannot tell a trend from a boundary that runs along the track.
     """
     rng = np.random.default_rng(seed)
-    x = np.broadcast_to(np.arange(SIZE), truth.shape)
+    x = np.broadcast_to(np.arange(truth.shape[1]), truth.shape)
     x = x.T if count == 1 else x
     looks = []
     for k in range(count):
@@ -225,3 +225,33 @@ def test_separation_of_laws():
     ratio = second.mean_square / first.mean_square
     expected = min(np.log(ratio) + 1 / ratio - 1, ratio - 1 - np.log(ratio))
     assert separation(first, second) == pytest.approx(expected, rel=0.1)
+
+
+def scattered(seed, size=768):
+    """Three sediments in small wavy patches all over."""
+    rng = np.random.default_rng(seed)
+    y, x = np.indices((size, size))
+    x, y = x + 12 * np.sin(y / 37), y + 12 * np.sin(x / 41)
+    away = [(x - a) ** 2 + (y - b) ** 2 for a, b in rng.uniform(0, size, (9, 2))]
+    return np.argmin(away, axis=0) % 3
+
+
+def mapped(looks):
+    classes = find_classes(looks)
+    return classes, class_map(log_likelihoods(looks, classes)).label.astype(int)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_sample_finds_what_the_whole_survey_shows(seed, monkeypatch):
+    truth = scattered(seed)
+    looks = looks_at(truth, seed)
+    whole, label = mapped(looks)
+    # four tiles of 256 pixels of nine
+    for limit in ("DESCRIBED", "SAMPLE"):
+        monkeypatch.setattr(segmentation, limit, 500_000)
+    monkeypatch.setattr(floor, "SAMPLED_BLOCKS", 100)
+    sampled, again = mapped(looks)
+    assert len(sampled.laws) == len(whole.laws) == 3
+    assert rand_index(truth, label) > 0.97
+    assert rand_index(truth, again) > rand_index(truth, label) - 0.005
+    np.testing.assert_array_equal(sampled.trends, whole.trends)

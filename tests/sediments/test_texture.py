@@ -4,6 +4,7 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter
 
 from sasmap.run.class_models import model_text, read_model
+from sasmap.sediments import segmentation
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.grouping import bhattacharyya
 from sasmap.sediments.segmentation import find_classes, train_classes
@@ -112,3 +113,15 @@ def test_distance_of_gaussians():
     assert bhattacharyya(one, (np.array([4.0, 0.0]), np.eye(2))) == pytest.approx(2)
     wide = np.zeros(2), 4 * np.eye(2)
     assert bhattacharyya(one, wide) == pytest.approx(np.log(2.5) - np.log(2))
+
+
+def test_textures_are_told_from_a_part_of_a_survey(monkeypatch):
+    for limit in ("DESCRIBED", "SAMPLE"):
+        monkeypatch.setattr(segmentation, limit, 75_000)
+    monkeypatch.setattr(segmentation, "SAMPLED_SIDE", 96)  # eight tiles of sixteen
+    looks, truth = halves(5)
+    classes = find_classes(looks)
+    assert len(classes.laws) == 2
+    assert classes.texture is not None
+    label = class_map(log_likelihoods(looks, classes)).label
+    assert agreement(label, truth) > 0.95

@@ -1,0 +1,240 @@
+"""Looks at a survey's floor, read in tiles: they may be larger than memory.
+
+In memory are statistics of blocks alone, one of 256 pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.numerics.threads import mapped
+from sasmap.sediments.bands import Bands
+from sasmap.sediments.trends import (
+    BLOCK,
+    AmplitudeGrid,
+    Blocks,
+    block_statistics,
+    log_cotangent,
+    trend_of,
+)
+
+FloatArray = NDArray[np.float64]
+Part = tuple[slice, slice]
+
+# Pixels a side of the tiles that are read at once: whole blocks.
+TILE = 64 * BLOCK
+# Pixels that tell a class's law: evenly thinned, of so many blocks at most.
+SAMPLES, SAMPLED_BLOCKS = 60_000, 512
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A look's amplitude less its gain and trend; slices are read.
+
+    Attributes
+    ----------
+    look : AmplitudeGrid
+    trend : ndarray (3,)
+        Log gain, slope and bend.
+    centre : float
+        Log of the cotangent that they are about.
+    bands : Bands or None
+        Gain by range, beyond the trend.
+    number : int
+        Of the look in those.
+    """
+
+    look: AmplitudeGrid
+    trend: FloatArray
+    centre: float
+    bands: Bands | None = None
+    number: int = 0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.look.amplitude.shape
+        return rows, columns
+
+    def __getitem__(self, part: Any) -> FloatArray:
+        """Return amplitudes of a part; NaN where there is none."""
+        place = log_cotangent(np.asarray(self.look.cotangent[part], float)) - self.centre
+        gain = trend_of(self.trend, place)
+        if self.bands is not None:
+            gain = gain + self.bands.of(self.number, place)
+        return np.asarray(self.look.amplitude[part] * np.exp(-gain))
+
+    def logs(self, part: Any) -> FloatArray:
+        """Return log amplitudes of a part; NaN where there is none."""
+        values = self[part]
+        return np.log(np.where(values > 0, values, np.nan))
+
+
+def tiles(shape: tuple[int, ...], side: int = TILE) -> list[Part]:
+    """Tiles of a raster, row by row."""
+    rows, columns = shape[:2]
+    return [
+        (slice(r, min(r + side, rows)), slice(c, min(c + side, columns)))
+        for r, c in product(range(0, rows, side), range(0, columns, side))
+    ]
+
+
+def blocks_in(part: Part) -> Part:
+    """Whole blocks of a tile that begins at one."""
+    return (
+        slice(part[0].start // BLOCK, part[0].stop // BLOCK),
+        slice(part[1].start // BLOCK, part[1].stop // BLOCK),
+    )
+
+
+def gather(
+    looks: Sequence[AmplitudeGrid], centre: float | None, workers: int | None = 1
+) -> tuple[list[Blocks], float]:
+    """Gather statistics of the blocks of all looks.
+
+    Parameters
+    ----------
+    looks : sequence of AmplitudeGrid
+        On one lattice; slices are read.
+    centre : float or None
+        Log cotangent that the blocks' places are about; their mean where None.
+    workers : int or None
+        Threads.
+
+    Returns
+    -------
+    list of Blocks
+    float
+        The centre.
+
+    Raises
+    ------
+    ValueError
+        Where no block of any look is known.
+    """
+    shape = looks[0].amplitude.shape
+    lattice = shape[0] // BLOCK, shape[1] // BLOCK
+    found = [Blocks(*(np.zeros(lattice) for _ in range(4))) for _ in looks]
+
+    def read(at: tuple[int, Part]) -> None:
+        k, part = at
+        look = AmplitudeGrid(
+            np.asarray(looks[k].amplitude[part], float), np.asarray(looks[k].cotangent[part], float)
+        )
+        here = blocks_in(part)
+        for target, values in zip(found[k], block_statistics(look, 0.0), strict=True):
+            target[here] = values
+
+    for _ in mapped(read, product(range(len(looks)), tiles(shape)), workers):
+        pass
+    if not any((b.known > 0).any() for b in found):
+        raise ValueError("expected a block of known amplitudes")
+    if centre is None:
+        means = [float(b.place[b.known > 0].mean()) for b in found if (b.known > 0).any()]
+        centre = float(np.mean(means))
+    return [b._replace(place=b.place - centre) for b in found], centre
+
+
+def pixels_of(flat: Sequence[Flat], blocks: NDArray[np.bool_]) -> FloatArray:
+    """Amplitudes of the pixels of some blocks, all looks together; thinned where there are many.
+
+    Parameters
+    ----------
+    flat : sequence of Flat
+    blocks : ndarray of bool (block rows, block columns)
+
+    Returns
+    -------
+    ndarray (n,)
+    """
+    where = np.flatnonzero(blocks)
+    if where.size > SAMPLED_BLOCKS:
+        # at random: an even step may meet the same columns over and over
+        where = np.sort(np.random.default_rng(0).choice(where, SAMPLED_BLOCKS, replace=False))
+    values = []
+    for row, column in zip(*np.unravel_index(where, blocks.shape), strict=True):
+        part = _pixels(int(row), int(column))
+        values += [one[part].ravel() for one in flat]
+    return thinned(np.concatenate(values)) if values else np.empty(0)
+
+
+def thinned(values: FloatArray) -> FloatArray:
+    """Evenly thin what is known of some amplitudes."""
+    values = values[np.isfinite(values) & (values > 0)]
+    return values[:: max(values.size // SAMPLES, 1)]
+
+
+def _pixels(row: int, column: int) -> Part:
+    """Pixels of a block."""
+    return (
+        slice(row * BLOCK, (row + 1) * BLOCK),
+        slice(column * BLOCK, (column + 1) * BLOCK),
+    )
+
+
+def chosen_tiles(
+    shape: tuple[int, ...], side: int, most: int, labels: NDArray[np.int64]
+) -> list[Part]:
+    """Tiles that speak for a raster: all, or so many at random, with some of each class.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Pixels.
+    side : int
+        Pixels of a tile; whole blocks.
+    most : int
+        Tiles.
+    labels : ndarray of int (block rows, block columns)
+        Classes, -1 for none.
+
+    Returns
+    -------
+    list of tuple of slice
+        In the order of the raster.
+    """
+    every = tiles(shape, side)
+    if len(every) <= most:
+        return every
+    counts = int(labels.max()) + 1
+    held = np.array(
+        [np.bincount(labels[blocks_in(p)].ravel() + 1, minlength=counts + 1) for p in every]
+    )
+    order = np.random.default_rng(0).permutation(len(every))
+    share = max(most // (2 * max(counts, 1)), 1)
+    kept: dict[int, None] = {}
+    for k in range(counts):  # those that hold most of a class first, but not all from one place
+        many = held[order, k + 1] >= 0.5 * held[:, k + 1].max()
+        kept |= dict.fromkeys(int(i) for i in order[many][:share])
+    kept |= dict.fromkeys(int(i) for i in order)
+    return [every[i] for i in sorted(list(kept)[: max(most, counts)])]
+
+
+def around(part: Part, margin: int, shape: tuple[int, ...]) -> tuple[Part, Part]:
+    """Widen a part by a margin, as far as the raster goes; and the part's place in that."""
+    wide = [
+        slice(max(s.start - margin, 0), min(s.stop + margin, n))
+        for s, n in zip(part, shape, strict=False)
+    ]
+    inner = [slice(s.start - w.start, s.stop - w.start) for s, w in zip(part, wide, strict=True)]
+    return (wide[0], wide[1]), (inner[0], inner[1])
+
+
+def marked_values(flat: Sequence[Flat], marks: Any, count: int) -> Iterator[tuple[FloatArray, int]]:
+    """Yield the amplitudes of each class's marked pixels, thinned, and how many are known."""
+    values: list[list[FloatArray]] = [[] for _ in range(count)]
+    for part in tiles(flat[0].shape):
+        here = np.asarray(marks[part])
+        for k in np.unique(here[(here > 0) & (here <= count)]):
+            for one in flat:
+                shown = one[part][here == k]
+                values[int(k) - 1].append(shown[np.isfinite(shown) & (shown > 0)])
+    for every in values:
+        joined = np.concatenate(every) if every else np.empty(0)
+        yield thinned(joined), int(joined.size)
