@@ -1,6 +1,6 @@
 """The sediment map of a survey: classes of its surface, mapped block by block.
 
-Everything of the map's size lies on disk; memory does not grow with the survey.
+Pixels lie on disk; what grows in memory are statistics of blocks of 16 by 16 pixels.
 """
 
 from __future__ import annotations
