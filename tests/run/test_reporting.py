@@ -47,8 +47,8 @@ def test_the_report_is_whole_and_stands_alone(sample):
     ]  # fmt: skip
     assert set(parts.links) == set(parts.ids)
     assert parts.scripts == 0
-    # overview, ripple maps and growth, cells, sediments
-    assert len(parts.sources) == 1 + 5 + 1 + 3 + 3
+    # overview, ripple maps, law and growth, cells, sediments
+    assert len(parts.sources) == 1 + 5 + 2 + 3 + 3
     assert all(source.startswith("data:image/png;base64,") for source in parts.sources)
     assert not re.search(r"""(src|href)=["'](http|/)""", text)
     for expected in (
