@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from sasmap.errors import InputError
 from sasmap.run.wording import duration
@@ -56,7 +57,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"sasmap {VERSION}")
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+    _add_survey_verbs(verbs)
+    _add_other_verbs(verbs)
+    return parser
 
+
+def _add_survey_verbs(verbs: Any) -> None:
+    """Add what takes a survey file: run and plan."""
     run = verbs.add_parser(
         "run",
         help="run a survey",
@@ -81,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
     plan.set_defaults(call=_plan)
 
+
+def _add_other_verbs(verbs: Any) -> None:
+    """Add what makes surveys, and what helps to write them."""
     simulate = verbs.add_parser(
         "simulate",
         help="simulate a survey with known truth",
@@ -117,7 +127,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     completion.add_argument("shell", choices=("bash", "zsh", "fish"), help="the shell")
     completion.set_defaults(call=_completion)
-    return parser
 
 
 def _positive(text: str) -> int:

@@ -104,17 +104,6 @@ class Image:
         return float(places.min()), float(np.ptp(places)) + 1e-9
 
     @cached_property
-    def range_limits(self) -> tuple[float, float]:
-        """Least and largest ground range of the valid pixels, m."""
-        reach = self.ground_range[self.valid]
-        return float(reach.min()), float(reach.max())
-
-    @cached_property
-    def mean_altitude(self) -> float:
-        """Of the valid pixels, m."""
-        return float(self.altitude[self.valid].mean())
-
-    @cached_property
     def mean_range(self) -> float:
         """Ground range at the clip's centre, by that of the valid pixels, m."""
         offset = self.project(self.look)[self.valid].mean()

@@ -422,7 +422,6 @@ def fill_rendered(  # type: ignore[no-untyped-def]
         fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
     else:
         lit[:] = 1.0
-    bins = pulse.size
     per_range = 1.0 / ground_range
     bend = 0.5 * (1.0 + tangent * tangent) * per_range
     for i in range(n):
@@ -441,12 +440,7 @@ def fill_rendered(  # type: ignore[no-untyped-def]
         power = areas[i] * lit[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
         # the range r whose r' = sqrt(r^2 + (A - h)^2 - A^2) this is, to second order
         lean = h * (tangent - h * bend)
-        x = ((i + 0.5) / n - lean * wave + 8.0) * bins - 0.5
-        low = int(x)
-        share = x - low
-        low %= bins
-        pulse[low] += power * (1.0 - share)
-        pulse[low + 1 if low + 1 < bins else 0] += power * share
+        deposit(pulse, (i + 0.5) / n - lean * wave, power)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
