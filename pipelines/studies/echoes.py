@@ -104,7 +104,7 @@ def scene_of(seed: int, size: int) -> Scene:
     # at least eight wavelengths; crest to trough at most 0.16 wavelengths
     frequency = rng.uniform(8.2, 12) / extent / np.cos(np.radians(off_look))
     height = rng.uniform(0.02, 0.08 / frequency)
-    turns = rng.uniform(0, 2 * np.pi, 4), rng.uniform(3, 8, 4), rng.uniform(0, 2 * np.pi, 4)
+    turns = rng.uniform(0, 2 * np.pi, 4), rng.uniform(5, 10, 4), rng.uniform(0, 2 * np.pi, 4)
     size_of = 0.0 if seed % 2 else rng.uniform(0.3, 0.8)
     wander = np.column_stack(
         [

@@ -48,7 +48,7 @@ POINTS = 4000
 class Sonar:
     """A sonar that looks to starboard, and its beamformer.
 
-    The two-way beam of an element of length D gives a resolution of D / 2 along the track; a
+    The two-way beam of an element of length D gives a resolution of about D / 2 along the track; a
     Hamming window over the band gives 1.3 c / 2 B across it. Both are one pixel here.
 
     Attributes
@@ -71,7 +71,7 @@ class Sonar:
 
     @property
     def spacing(self) -> float:
-        """Distance between pings, m: what aliases lies beyond 0.75 of the beam's first null."""
+        """Distance between pings, m: what aliases is 28 dB down with the beamformer's taper."""
         return self.element / 3
 
     @property
@@ -80,10 +80,9 @@ class Sonar:
         return 1.05 * self.bandwidth
 
     @property
-    def null(self) -> float:
-        """Tangent of the angle of the beam's first null."""
-        sine = SOUND_SPEED / self.frequency / self.element
-        return float(sine / np.sqrt(1 - sine**2))
+    def aperture(self) -> float:
+        """Half the synthetic aperture over the range: to 0.9 of the beam's first null."""
+        return 0.9 * SOUND_SPEED / self.frequency / self.element
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,7 @@ class Recorder:
     """Runs openstb-simulator over many pings; ``close`` ends its worker.
 
     Its cost is points times samples times pings. A few pings at a time are given the points in
-    their main beam alone, and a band of ranges at a time is recorded by itself.
+    their beam alone, and a band of ranges at a time is recorded by itself.
     """
 
     def __init__(self, sonar: Sonar, pings: int = 8, band: float = 2.5) -> None:
@@ -267,7 +266,7 @@ class Recorder:
         slant = np.hypot(position[:, 1], position[:, 2])
         start = int(2 * (slant.min() - 0.5) / SOUND_SPEED / step)
         stop = int((2 * (slant.max() + 0.5) / SOUND_SPEED + sonar.pulse) / step)
-        widest = sonar.null * float(slant.max())
+        widest = sonar.aperture * float(slant.max())
         places = np.arange(-widest, sonar.pixel * swath.rows + widest, sonar.spacing)
         pressure = np.zeros((len(places), stop - start), complex)
         for near in np.arange(slant.min(), slant.max() + 1e-9, self.band):
@@ -290,7 +289,7 @@ class Recorder:
         window: tuple[float, int],
     ) -> ComplexArray:
         """Simulate the points of a band of ranges, some pings at a time."""
-        reach = self.sonar.null * np.hypot(position[:, 1], position[:, 2])
+        reach = self.sonar.aperture * np.hypot(position[:, 1], position[:, 2])
         result = np.zeros((len(places), window[1]), complex)
         for first in range(0, len(places), self.pings):
             some = slice(first, first + self.pings)
@@ -398,8 +397,7 @@ def backproject(
     image = np.zeros((swath.rows, swath.columns), complex)
     used = np.zeros((swath.rows, swath.columns))
     rate = finer * sonar.sample_rate
-    # the aperture ends at 0.9 of the beam's first null
-    reach = 0.9 * sonar.null * closest
+    reach = sonar.aperture * closest
     for place, echo in zip(places, compressed, strict=True):
         rows = np.flatnonzero(np.abs(along - place) < reach.max())
         away = np.abs(along[rows, None] - place)
@@ -408,8 +406,8 @@ def backproject(
         at = (delay - gate) * rate
         k = np.clip(at.astype(int), 0, echo.size - 2)
         value = echo[k] + (at - k) * (echo[k + 1] - echo[k])
+        taper = np.where(away < reach, np.cos(0.5 * np.pi * away / reach), 0.0)
         value *= np.exp(2j * np.pi * sonar.frequency * delay) * distance**2
-        inside = away < reach
-        image[rows] += np.where(inside, value, 0)
-        used[rows] += inside
+        image[rows] += taper * value
+        used[rows] += taper
     return image / np.maximum(used, 1)
