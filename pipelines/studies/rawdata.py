@@ -117,7 +117,7 @@ class _InProcess(DaskCluster):  # type: ignore[misc]
     def initialise(self) -> None:
         if self._client is None:
             self._client = distributed.Client(
-                processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None
+                processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0"
             )
 
     @property
