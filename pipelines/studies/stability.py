@@ -32,7 +32,7 @@ from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.nodes import refine_boundary
 from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.trends import AmplitudeGrid
-from sasmap.simulate import coherent_cell, straight_clip
+from sasmap.simulate import coherent_cell
 from sasmap.survey.navigation import Track
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
@@ -151,7 +151,7 @@ def products(count: int) -> Iterator[tuple[str, float]]:
     summary = summarise(estimate(_clip(), RippleSettings(), rng=1))
     alone = RippleSettings(scatter=(0.0, 0.0, 0.0))
     rows = np.array(summary.mixture)
-    for power in range(7):
+    for power in (0, 2, 4, 6):
         # the same mean, covariances of log f, log contrast and azimuth drawn together
         scale = np.ones((5, 5))
         scale[:3, :3] = 10.0 ** (-2 * power)
@@ -161,18 +161,19 @@ def products(count: int) -> Iterator[tuple[str, float]]:
         sharp[:, 1:4] = mean + 10.0**-power * (rows[:, 1:4] - mean)
         sharp[:, 6:] *= scale.ravel()
         narrow = replace(summary, mixture=tuple(tuple(row) for row in sharp))
-        for pair in ((summary, narrow), (narrow, summary)):
-            final = fuse(pair, alone).final
-            sd = summary.sd[0] * 10.0**-power
-            yield f"widths apart 1e{power}", abs(final.mean[0] - np.exp(mean[0])) / sd
+        try:
+            final = fuse((summary, narrow), alone).final.mean[0]
+        except np.linalg.LinAlgError:
+            final = np.inf
+        sd = summary.sd[0] * 10.0**-power
+        yield f"widths apart 1e{power}", abs(final - np.exp(mean[0])) / sd
 
 
 def _clip() -> Clip:
-    """Straight ripples of 0.6 cycles/m and an A_H of 0.07 m."""
-    return straight_clip(
-        np.random.default_rng(1), frequency=0.6, height=0.07, pixel_size=0.04, shape=(300, 300),
-        near=20.0,
-    )  # fmt: skip
+    """Straight ripples with some shadow: an estimate that converges at once."""
+    return coherent_cell(
+        np.random.default_rng(1), frequency=0.62, height=0.08, near=12.0, shape=(260, 260)
+    ).clip
 
 
 def separations(count: int) -> Iterator[tuple[str, float]]:
