@@ -15,7 +15,6 @@ Writes beds.csv.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import types
 from collections.abc import Callable
@@ -26,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from heightfields import Grid, grid_around, image, measure
-from judged import estimated, print_table
+from judged import estimated, print_table, write_rows
 from numpy.typing import NDArray
 
 from sasmap.simulate.laws import Law, PowerLaw
@@ -241,11 +240,7 @@ def main() -> None:
             rows = list(pool.map(partial(one, size=size), places))
     else:
         rows = [one(place, size) for place in places]
-    options.output.mkdir(parents=True, exist_ok=True)
-    with open(options.output / "beds.csv", "w", newline="", encoding="utf-8") as stream:
-        written = csv.DictWriter(stream, list(rows[0]))
-        written.writeheader()
-        written.writerows(rows)
+    write_rows(options.output / "beds.csv", rows)
     print_table(rows, ("kind", "law"))
 
 

@@ -16,14 +16,13 @@ and the estimates (echoes.csv), not the raw data.
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import rawdata
-from judged import estimated, print_table
+from judged import estimated, print_table, write_rows
 from numpy.typing import NDArray
 
 from sasmap.ripples import Clip
@@ -198,17 +197,14 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("docs/studies"))
     options = parser.parse_args()
     size, scenes = (120, 1) if options.quick else (250, options.scenes)
-    for folder in filter(None, (options.output, options.images)):
-        folder.mkdir(parents=True, exist_ok=True)
+    if options.images:
+        options.images.mkdir(parents=True, exist_ok=True)
     recorder = rawdata.Recorder(rawdata.Sonar())
     rows = []
     for seed in range(options.first, options.first + scenes):
         rows.append(one(seed, size, recorder, options.images))
         print({k: v if isinstance(v, str) else f"{v:.4g}" for k, v in rows[-1].items()}, flush=True)
-        with open(options.output / "echoes.csv", "w", newline="", encoding="utf-8") as stream:
-            written = csv.DictWriter(stream, list(rows[0]))
-            written.writeheader()
-            written.writerows(rows)
+        write_rows(options.output / "echoes.csv", rows)
     recorder.close()
     print_table(rows, ("law", "heading", "near", "profile", "crests"))
 

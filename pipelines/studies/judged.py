@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,6 +54,18 @@ def estimated(clip: Clip, frequency: float, height: float, seed: int) -> Row:
     return row
 
 
+def write_rows(path: Path, rows: list[Row]) -> None:
+    """Write rows as CSV, numbers to six digits; makes the folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        written = csv.DictWriter(stream, list(rows[0]))
+        written.writeheader()
+        for row in rows:
+            written.writerow(
+                {k: v if isinstance(v, str | int) else f"{v:.6g}" for k, v in row.items()}
+            )
+
+
 def is_good(row: Row) -> bool:
     """Whether a row's estimate is offered for use."""
     return bool(row["quality"] == Quality.GOOD.label)
@@ -61,22 +76,29 @@ def values(rows: list[Row], name: str) -> np.ndarray:
     return np.array([row[name] for row in rows], float)
 
 
-def summary(title: str, rows: list[Row]) -> str:
-    """One line of the table, as Markdown: how many, found, good; coverage and errors of the good.
+def has_draws(row: Row) -> bool:
+    """Whether a row has an estimate, good or not."""
+    return bool(np.isfinite(row["height_mean"]))
+
+
+def summary(title: str, rows: list[Row], judged: Callable[[Row], bool] = is_good) -> str:
+    """One line of the table, as Markdown: how many, found, good; coverage and errors.
 
     Parameters
     ----------
     title : str
     rows : list of dict
         From :func:`estimated`.
+    judged : callable
+        Which rows coverage and errors are of.
 
     Returns
     -------
     str
     """
-    found = np.isfinite(values(rows, "height_mean"))
-    good = [row for row in rows if is_good(row)]
-    cells = [title, str(len(rows)), str(int(found.sum())), str(len(good))]
+    counts = len(rows), sum(map(has_draws, rows)), sum(map(is_good, rows))
+    cells = [title, *map(str, counts)]
+    good = [row for row in rows if judged(row)]
     for name in ("frequency", "height"):
         if not good:
             cells += ["", "", ""]
@@ -119,6 +141,7 @@ def print_table(rows: list[Row], columns: tuple[str, ...]) -> None:
     """
     print(HEAD)
     print(summary("all", rows))
+    print(summary("all, and what is found but not good", rows, has_draws))
     for column in columns:
         for value in dict.fromkeys(row[column] for row in rows):
             print(summary(f"{column} {value}", [row for row in rows if row[column] == value]))

@@ -18,13 +18,12 @@ shadow_method.csv.
 from __future__ import annotations
 
 import argparse
-import csv
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from heightfields import grid_around, image, measure
-from judged import is_good, values
+from judged import is_good, values, write_rows
 from numpy.typing import NDArray
 
 from sasmap.ripples import Posterior, RippleSettings, estimate
@@ -202,11 +201,7 @@ def main() -> None:
     options = parser.parse_args()
     size, cells = (200, 1) if options.quick else (500, options.cells)
     rows = [one(name, seed, size) for name in KINDS for seed in range(cells)]
-    options.output.mkdir(parents=True, exist_ok=True)
-    with open(options.output / "shadow_method.csv", "w", newline="", encoding="utf-8") as stream:
-        written = csv.DictWriter(stream, list(rows[0]))
-        written.writeheader()
-        written.writerows(rows)
+    write_rows(options.output / "shadow_method.csv", rows)
     print(HEAD)
     for name in KINDS:
         print(line(name, [row for row in rows if row["kind"] == name]))

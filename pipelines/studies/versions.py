@@ -19,7 +19,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from judged import Row, print_table, values
+from judged import Row, print_table, values, write_rows
 
 from sasmap.simulate import coherent_cell
 
@@ -88,11 +88,7 @@ def main() -> None:
                 rows += [{"version": version, **row} for row in found]
         finally:
             subprocess.run([*git, "remove", "--force", other], check=True)
-    options.output.mkdir(parents=True, exist_ok=True)
-    with open(options.output / "versions.csv", "w", newline="", encoding="utf-8") as stream:
-        written = csv.DictWriter(stream, list(rows[0]))
-        written.writeheader()
-        written.writerows(rows)
+    write_rows(options.output / "versions.csv", rows)
     print_table(rows, ("version",))
     for version in dict.fromkeys(row["version"] for row in rows):
         seconds = values([row for row in rows if row["version"] == version], "seconds")
