@@ -151,7 +151,7 @@ def products(count: int) -> Iterator[tuple[str, float]]:
     summary = summarise(estimate(_clip(), RippleSettings(), rng=1))
     alone = RippleSettings(scatter=(0.0, 0.0, 0.0))
     rows = np.array(summary.mixture)
-    for power in (0, 2, 4, 6):
+    for power in (0, 2, 4, 6) if count > 100 else (0, 2):
         # the same mean, covariances of log f, log contrast and azimuth drawn together
         scale = np.ones((5, 5))
         scale[:3, :3] = 10.0 ** (-2 * power)
@@ -183,7 +183,7 @@ def separations(count: int) -> Iterator[tuple[str, float]]:
     bounds = settings.frequency, settings.height
     free = estimate(clip, settings, rng=1)
     sd = float(free.sd.frequency)
-    for power in (0, 2, 4, 6):
+    for power in (0, 2, 4, 6) if count > 100 else (0, 6):
         mean = (float(free.mean.frequency), float(free.mean.height))
         prior = Prior(mean, (sd * 10.0**-power, 1.0), bounds)
         got = estimate(clip, settings, rng=1, prior=prior)
@@ -299,7 +299,7 @@ def stage_two(cells: int) -> Iterator[tuple[str, float]]:
 def surveys(count: int) -> Iterator[tuple[str, float]]:
     """Stage 2 with one cell and with many."""
     yield from stage_two(1)
-    yield from stage_two(10_000 if count > 100 else 200)
+    yield from stage_two(10_000 if count > 100 else 40)
 
 
 def textures(count: int) -> Iterator[tuple[str, float]]:
