@@ -131,10 +131,20 @@ def simulate(
     altitude = np.full(n, scene.altitude)
     one = np.ones((n, BINS))
     every = Histogram(
-        one, one, 0 * one, x[0], reach, altitude, np.ones(n), np.zeros(n, int), one[None], one
+        one,
+        one,
+        0 * one,
+        0 * one,
+        x[0],
+        reach,
+        altitude,
+        np.ones(n),
+        np.zeros(n, int),
+        one[None],
+        one,
     )
     pulses = np.empty((n, BINS))
-    fill_pulses(ripple, every, geometry, pulses, *np.empty((2, n)))
+    fill_pulses(ripple, every, geometry, pulses, np.empty(n))
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
     # errors that a wavelength of range and a part of phase share
     group = ((reach - reach[0]) * geometry.along).astype(int)

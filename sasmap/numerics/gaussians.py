@@ -107,9 +107,13 @@ def _spreads(points, share, mean):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_log_densities(points, weight, mean, inverse, norm, result):  # type: ignore[no-untyped-def]
+def fill_squares(points, mean, inverse, result):  # type: ignore[no-untyped-def]
+    """Fill squared distances of points (n, size) from components, in their widths (n, components).
+
+    `inverse` holds the inverses of the Cholesky factors of their covariances.
+    """
     n, size = points.shape
-    for k in range(weight.size):
+    for k in range(mean.shape[0]):
         for i in range(n):
             square = 0.0
             for a in range(size):
@@ -117,7 +121,7 @@ def _fill_log_densities(points, weight, mean, inverse, norm, result):  # type: i
                 for b in range(a + 1):
                     white += inverse[k, a, b] * (points[i, b] - mean[k, b])
                 square += white * white
-            result[i, k] = norm[k] - 0.5 * square
+            result[i, k] = square
 
 
 def log_densities(points: FloatArray, mixture: Mixture) -> FloatArray:
@@ -138,5 +142,5 @@ def log_densities(points: FloatArray, mixture: Mixture) -> FloatArray:
     norm = np.log(mixture.weight) - np.log(diagonal).sum(axis=1)
     norm -= 0.5 * points.shape[1] * np.log(2 * np.pi)
     inverse = np.linalg.inv(factor)
-    _fill_log_densities(points, mixture.weight, mixture.mean, inverse, norm, result)
-    return result
+    fill_squares(points, mixture.mean, inverse, result)
+    return norm - 0.5 * result

@@ -24,28 +24,20 @@ from sasmap.ripples.posterior import (
 )
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.published import sample_published
-from sasmap.ripples.rendering import heights_at, log_posteriors, parameters_at
-from sasmap.ripples.sampler import (
-    adapted,
-    metropolis_hastings,
-    mixture_of_peaks,
-    population,
-)
+from sasmap.ripples.rendering import log_posteriors, named_parameters
+from sasmap.ripples.ridge import along_ridges
+from sasmap.ripples.sampler import mixture_of_peaks, sample
 from sasmap.ripples.settings import RippleSettings
 
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Draws a chain of the first round after which convergence is judged.
-ROUND = 300
 # Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
 # (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
 # Largest noise factor that correlated speckle makes, and error of log A_H for each power of e
 # beyond.
 SPECKLE, MISFIT = 4.0, 0.15
-# Log posterior below the best peak's at which another counts for nothing.
-NEGLIGIBLE = 15.0
 # Draws from which the lag's slope over range is learned.
 LAG_DRAWS = 60
 # Probability from which a clip counts as rippled.
@@ -237,40 +229,22 @@ def _sampled(
     def log_density(points: FloatArray) -> FloatArray:
         return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
 
-    best = fit.peaks[0].level
-    peaks = [p for p in fit.peaks if p.level > best - NEGLIGIBLE]
     keep = np.ix_(*[np.isin(free, sampled)] * 2)
-    proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level - best) for p in peaks])
-    particles, proposal = population(log_density, proposal, rng)
-    states = particles[rng.permutation(len(particles))[: settings.chains]]
-    proposal, particles, states = adapted(log_density, proposal, particles, states, rng)
+    ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
+    proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level) for p in ridge])
 
-    def told(draws: FloatArray) -> bool:
-        points = whole(draws)
-        heights = heights_at(points.reshape(-1, COORDINATES), fit.geometry)
-        return converged(points[..., 0]) and converged(heights.reshape(points.shape[:2]))
+    def suffice(draws: FloatArray) -> bool:
+        told = named_parameters(whole(draws), fit.geometry)
+        return converged(told["wave_offset"]) and converged(told["height"])
 
-    rounds: list[FloatArray] = []
-    accepted, kept, done = 0.0, 0, False
-    while kept < settings.draws and not done:
-        steps = min(max(ROUND, kept // 2), settings.draws - kept)
-        chains = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
-        states = chains.draws[:, -1]
-        accepted += chains.accepted * steps
-        kept += steps
-        rounds.append(chains.draws)
-        draws = np.concatenate(rounds, axis=1)
-        done = told(draws)
-    return whole(draws), accepted / kept, done
+    chains, done = sample(log_density, proposal, suffice, settings.chains, settings.draws, rng)
+    return whole(chains.draws), chains.accepted, done
 
 
 def _labelled(points: FloatArray, fit: Fit, image: Image, rng: np.random.Generator) -> xr.Dataset:
     """Name draws and give them the units that people read."""
-    flat = [parameters_at(z, fit.geometry) for z in points.reshape(-1, COORDINATES)]
     shape = points.shape[:2]
-    named = {
-        name: np.array([getattr(p, name) for p in flat]).reshape(shape) for name in flat[0]._fields
-    }
+    named = named_parameters(points, fit.geometry)
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
     along = fit.geometry.along + named.pop("wave_offset")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from sasmap.ripples.optimise import (
     cross_entropy,
     distinct,
     fisher_scoring,
+    glance,
     search,
 )
 from sasmap.ripples.phase import (
@@ -41,6 +43,7 @@ from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
     fill_expected,
+    fill_lags,
     fill_pulses,
     parameters_at,
 )
@@ -129,22 +132,27 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     # of the two vectors of a wave, the one that the sonar looks along
     boxes = demodulate(image, wave if wave @ image.look >= 0 else -wave)
     boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
-    fit = fitted(task, straight(image, boxes), boxes.trend)
+    phase = straight(image, boxes)
+    seen = fitted(task, phase, boxes.trend, glance)
     # shadow and lean turn the fundamental with range; that is no bend of the crests
-    upright = turned_back(image, boxes, lag_over_range(fit))
+    upright = turned_back(image, boxes, lag_over_range(seen))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
     found = bend(upright)
     if (found.scores >= STRAIGHT).any():
-        fit = fitted(task, bent(image, boxes, bend(boxes)), boxes.trend)
-    return refined(task, fit)
+        phase = bent(image, boxes, bend(boxes))
+    return refined(task, fitted(task, phase, boxes.trend, search))
 
 
-def fitted(task: Task, phase: PhaseField, trend: FloatArray) -> Fit:
-    """Sum a clip over phase and range and climb to the peaks of its posterior."""
+def fitted(
+    task: Task,
+    phase: PhaseField,
+    trend: FloatArray,
+    climb: Callable[[Histogram, Geometry], list[Peak]],
+) -> Fit:
+    """Sum a clip over phase and range and climb to peaks of its posterior."""
     data = histogram(task.image, trend, phase)
     geometry = clip_geometry(task, phase, data)
-    peaks = search(data, geometry)
-    return Fit(phase, trend, data, geometry, peaks)
+    return Fit(phase, trend, data, geometry, climb(data, geometry))
 
 
 def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
@@ -194,7 +202,8 @@ def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     """Pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
     pulses = np.empty(fit.data.pixel_count.shape)
     lags, levels = np.empty((2, len(pulses)))
-    fill_pulses(parameters_at(z, fit.geometry), fit.data, fit.geometry, pulses, lags, levels)
+    fill_pulses(parameters_at(z, fit.geometry), fit.data, fit.geometry, pulses, levels)
+    fill_lags(pulses, lags)
     return pulses, lags, levels
 
 
@@ -335,7 +344,7 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
     model = paint_pixels(
         used,
         image.ground_range,
-        fit.phase.cycles(image.shape),
+        fit.phase.cycles,
         fit.phase.per_pixel(image),
         fit.data.ground_range,
         means,

@@ -16,6 +16,7 @@ from sasmap.ripples.pixels import (
     PIXELS,
     PLACE,
     RANGE,
+    REACH,
     TREND,
     UNSATURATED,
     sum_pixels,
@@ -83,7 +84,7 @@ def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
         image.ground_range,
         image.altitude,
         trend,
-        phase.cycles(image.shape),
+        phase.cycles,
         phase.per_pixel(image),
         image.look @ image.steps,
         edges,
@@ -98,6 +99,7 @@ def _as_histogram(sums: FloatArray, blocks: FloatArray, length: float) -> Histog
     filled = blocks[:, PIXELS] > 0
     sums, blocks = sums[filled], blocks[filled]
     mean = blocks / blocks[:, [PIXELS]]
+    pixels = np.maximum(sums[..., COUNT], 1)
     group = np.zeros(len(mean), np.int64)
     begin = mean[0, RANGE]
     for b in range(1, len(mean)):
@@ -109,7 +111,8 @@ def _as_histogram(sums: FloatArray, blocks: FloatArray, length: float) -> Histog
     return Histogram(
         sums[..., UNSATURATED].copy(),
         sums[..., INTENSITY].copy(),
-        sums[..., OFFSET] / np.maximum(sums[..., COUNT], 1),
+        sums[..., OFFSET] / pixels,
+        np.where(sums[..., COUNT] > 0, sums[..., REACH] / pixels - mean[:, [RANGE]], 0.0),
         mean[:, PLACE].copy(),
         mean[:, RANGE].copy(),
         mean[:, ALTITUDE].copy(),

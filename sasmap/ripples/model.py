@@ -51,7 +51,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> FloatArr
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
     known = geometry & phase.pixels(phase.spread_cover(), image.shape)
-    cycles, per_pixel = whole.cycles(image.shape), whole.per_pixel(image)
+    cycles, per_pixel = whole.cycles, whole.per_pixel(image)
 
     reach = fit.data.ground_range
     amplitude = np.asarray(

@@ -13,12 +13,12 @@ from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
     contrast_per_slope,
-    fill_expected,
+    fill_lags,
     fill_pulses,
     fill_residuals,
+    fill_slopes,
     log_posterior,
     log_posteriors,
-    log_prior,
     parameters_at,
 )
 
@@ -98,6 +98,12 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
     return [z for _, z in sorted(found, key=lambda f: -f[0])][:STARTS]
 
 
+def glance(data: Histogram, geometry: Geometry) -> list[Peak]:
+    """Find a likely peak quickly, through the worse lens of :func:`search`."""
+    coarse = geometry._replace(expected_blur=COARSE * geometry.expected_blur)
+    return [fisher_scoring(scan(data, coarse)[0], data, coarse, COARSE_ROUNDS)]
+
+
 def search(data: Histogram, geometry: Geometry) -> list[Peak]:
     """Find the likeliest peaks: scan, then Fisher scoring, first through a worse lens.
 
@@ -130,7 +136,8 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     pulses = np.empty(data.pixel_count.shape)
     lags, levels = np.empty((2, len(data.place)))
     ripple = parameters_at(np.append([0.0, 0.0], z[2:]), geometry)
-    fill_pulses(ripple, data, geometry, pulses, lags, levels)
+    fill_pulses(ripple, data, geometry, pulses, levels)
+    fill_lags(pulses, lags)
     weight = np.sqrt(data.pixel_count.sum(axis=1))
     slope, phase = (
         np.polyfit(data.place, np.unwrap(lags), 1, w=weight) if len(lags) > 1 else (0, lags[0])
@@ -139,7 +146,11 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
 
 
 def fisher_scoring(
-    start: FloatArray, data: Histogram, geometry: Geometry, rounds: int = ROUNDS
+    start: FloatArray,
+    data: Histogram,
+    geometry: Geometry,
+    rounds: int = ROUNDS,
+    free: NDArray[np.int64] | None = None,
 ) -> Peak:
     """Climb to the nearest maximum of the posterior by damped Fisher scoring.
 
@@ -151,12 +162,14 @@ def fisher_scoring(
     geometry : Geometry
     rounds : int
         At most.
+    free : ndarray of int, optional
+        Coordinates to climb in, all that are estimated if not given.
 
     Returns
     -------
     Peak
     """
-    free = free_coordinates(geometry)
+    free = free_coordinates(geometry) if free is None else free
     z, level = start.copy(), log_posterior(start, data, geometry)
     damping = 1e-3
     gradient, information = _slope(z, data, geometry, free)
@@ -243,40 +256,27 @@ def distinct(peaks: list[Peak], most: int) -> list[Peak]:
     return kept[:most]
 
 
+def information_at(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
+    """Return the expected information of the free coordinates, (free, free)."""
+    return _slope(z, data, geometry, free_coordinates(geometry))[1]
+
+
 def _slope(
     z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log posterior and its expected information, over the free coordinates."""
-    means, gains = np.empty(data.pixel_count.shape), np.empty(len(data.place))
-
-    def logs(at: FloatArray) -> FloatArray:
-        fill_expected(parameters_at(at, geometry), data, geometry, means, gains)
-        return np.log(means)
-
-    def prior(at: FloatArray) -> float:
-        return float(log_prior(at, parameters_at(at, geometry), geometry))
-
-    here, known = logs(z), prior(z)
-    residual = data.intensity_sum / np.exp(here) - data.pixel_count
-    slopes = np.empty((free.size, here.size))
-    gradient, curvature = np.empty(free.size), np.empty(free.size)
-    for k, i in enumerate(free):
-        step = STEP * (1.0 / max(geometry.range_middle, 1.0) if i == 0 else 1.0)
-        ahead, behind = z.copy(), z.copy()
-        ahead[i] += step
-        behind[i] -= step
-        slopes[k] = ((logs(ahead) - here) / step).ravel()
-        after, before = prior(ahead), prior(behind)
-        both = np.isfinite(after) and np.isfinite(before)
-        gradient[k] = (after - before) / (2 * step) if both else 0.0
-        curvature[k] = max((2 * known - after - before) / step**2, 0.0) if both else 0.0
+    means = np.empty(data.pixel_count.shape)
+    slopes, prior = np.empty((free.size, means.size)), np.empty((free.size, 2))
+    fill_slopes(z, free, STEP, data, geometry, means, slopes, prior)
+    gradient, curvature = prior.T
     count = data.pixel_count.ravel()
-    gradient += slopes @ residual.ravel()
+    gradient = gradient + slopes @ (data.intensity_sum / means - data.pixel_count).ravel()
     information = (slopes * count) @ slopes.T
     if len(data.errors):
         errors = data.errors.reshape(len(data.errors), -1)
         shared = (slopes * count) @ errors.T @ data.error_gain
-        fill_residuals(np.exp(here), data, residual)
+        residual = np.empty(means.shape)
+        fill_residuals(means, data, residual)
         gradient -= shared @ (errors @ residual.ravel())
         information -= shared @ ((errors * count) @ slopes.T)
     return gradient, information + np.diag(curvature + 1e-6)

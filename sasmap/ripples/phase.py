@@ -10,6 +10,7 @@ others best.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -93,6 +94,8 @@ class PhaseField:
         Wave vector (east, north) that the field is relative to, cycles/m.
     rigid : bool
         Whether crests are straight: there is no field.
+    shape : tuple of int
+        Of the image: rows, columns.
     box : int
         Pixels a side of a box.
     stripes : ndarray (2,)
@@ -119,6 +122,7 @@ class PhaseField:
 
     wave: FloatArray
     rigid: bool
+    shape: tuple[int, int]
     box: int
     stripes: FloatArray
     even: ComplexArray
@@ -149,11 +153,12 @@ class PhaseField:
         """Rippled boxes and the holes among them."""
         return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])
 
-    def cycles(self, shape: tuple[int, int]) -> FloatArray:
+    @cached_property
+    def cycles(self) -> FloatArray:
         """Phase of the field at every pixel, cycles; empty where crests are straight."""
         if self.rigid:
             return np.empty((0, 0))
-        return np.asarray(field_cycles(self.even, self.odd, self.box, self.stripes, shape))
+        return np.asarray(field_cycles(self.even, self.odd, self.box, self.stripes, self.shape))
 
     def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
         """Spread a mask of boxes to the image's pixels."""
@@ -459,6 +464,7 @@ def straight(image: Image, boxes: Boxes) -> PhaseField:
     return PhaseField(
         boxes.wave,
         True,
+        image.shape,
         boxes.size,
         boxes.stripes,
         one,
@@ -560,6 +566,7 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
     return PhaseField(
         boxes.wave,
         False,
+        image.shape,
         boxes.size,
         boxes.stripes,
         _unit(even),

@@ -10,7 +10,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Sums of each bin and of each block of a phase-range histogram, in this order.
-COUNT, UNSATURATED, INTENSITY, OFFSET, BIN_SUMS = range(5)
+COUNT, UNSATURATED, INTENSITY, OFFSET, REACH, BIN_SUMS = range(6)
 PIXELS, PLACE, RANGE, ALTITUDE, TREND, BLOCK_SUMS = range(6)
 
 
@@ -162,6 +162,7 @@ def sum_pixels(  # type: ignore[no-untyped-def]
             sums[b, k, UNSATURATED] += 0.0 if saturated[i, j] else 1.0
             sums[b, k, INTENSITY] += power[i, j] / level
             sums[b, k, OFFSET] += cycles - (k + 0.5) / bins
+            sums[b, k, REACH] += reach
             places[b, PIXELS] += 1.0
             places[b, PLACE] += along[0] * column + along[1] * row
             places[b, RANGE] += reach

@@ -31,8 +31,16 @@ FloatArray = NDArray[np.float64]
 
 # Facets a bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
 FACETS = 3
+# Blocks of range of which one is rendered, where no shadow falls: pulses of the others lie between.
+RENDERED = 3
+# Sums may be taken in any order, which lets the processor add several at once.
+FAST = {"reassoc", "contract", "nsz", "arcp"}
+# Square of the last step of a gain, in its standard deviations, at which it counts as told.
+GAIN_TOLD = 1e-4
 # Nodes of the scattering law over the sine of the local grazing angle.
 NODES = 512
+SINES = np.maximum(np.arange(NODES), 0.1) / (NODES - 1.0)
+LOG_SINES, OFFSETS = np.log(SINES), (np.arcsin(SINES) - 0.5 * np.pi) ** 2
 # Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and the
 # largest that are tried: 0 is a sine, 0.25 in phase with the crest the peaked profile
 # 2((1 + sin)/2)^2 - 1, and beyond 0.4 a second crest grows in the trough.
@@ -99,6 +107,9 @@ class Histogram(NamedTuple):
         what a pixel is worth.
     phase_offset : ndarray (blocks, bins)
         Mean phase of a bin's pixels from its middle, cycles.
+    range_offset : ndarray (blocks, bins)
+        Mean ground range of a bin's pixels less the block's, m: an edge of shadow moves within a
+        block, and bins of straight crests each see one place of it.
     place : ndarray (blocks,)
         Mean place along the look from the clip's centre, m.
     ground_range, altitude : ndarray (blocks,)
@@ -116,6 +127,7 @@ class Histogram(NamedTuple):
     pixel_count: FloatArray
     intensity_sum: FloatArray
     phase_offset: FloatArray
+    range_offset: FloatArray
     place: FloatArray
     ground_range: FloatArray
     altitude: FloatArray
@@ -279,20 +291,21 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
 def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore[no-untyped-def]
     """Crest profile over A_H, of mean 0, and its derivative by phase, at the middles of facets."""
     n = heights.size
-    least, most, mean = np.inf, -np.inf, 0.0
+    least, most = np.inf, -np.inf
+    half = np.pi / n
+    turn = np.cos(2.0 * half), np.sin(2.0 * half)
+    c, s = np.cos(half), np.sin(half)
     for i in range(n):
-        x = 2.0 * np.pi * (i + 0.5) / n
-        c, s = np.cos(x), np.sin(x)
         c2, s2 = c * c - s * s, 2.0 * s * c
         c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
         heights[i] = s - peakedness * c2 - asymmetry * s2 + third[0] * s3 + third[1] * c3
         slopes[i] = c + 2.0 * peakedness * s2 - 2.0 * asymmetry * c2
         slopes[i] += 3.0 * (third[0] * c3 - third[1] * s3)
         least, most = min(least, heights[i]), max(most, heights[i])
-        mean += heights[i] / n
+        c, s = c * turn[0] - s * turn[1], s * turn[0] + c * turn[1]
     scale = 2.0 / (most - least)
     for i in range(n):
-        heights[i] = (heights[i] - mean) * scale
+        heights[i] *= scale
         slopes[i] *= scale
 
 
@@ -359,25 +372,22 @@ def fill_crest_rule(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def deposit(pulse, place, power):  # type: ignore[no-untyped-def]
-    """Add power to the two bins of phase about a place (cycles)."""
+    """Add facets' power to the two bins of phase about each one's place (cycles)."""
     bins = pulse.size
-    x = (place - np.floor(place)) * bins + (bins - 0.5)
-    low = int(x)
-    share = x - low
-    low -= bins if low >= bins else 0
-    pulse[low] += power * (1.0 - share)
-    pulse[low + 1 if low + 1 < bins else 0] += power * share
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def value_at(pulse, place):  # type: ignore[no-untyped-def]
-    """Pulse between bins, at a place (cycles)."""
-    bins = pulse.size
-    x = (place - np.floor(place)) * bins + (bins - 0.5)
-    low = int(x)
-    share = x - low
-    low -= bins if low >= bins else 0
-    return pulse[low] + share * (pulse[low + 1 if low + 1 < bins else 0] - pulse[low])
+    last, here, beyond = 0, 0.0, 0.0
+    for i in range(place.size):
+        x = (place[i] - np.floor(place[i])) * bins + (bins - 0.5)
+        low = int(x)
+        share = x - low
+        low -= bins if low >= bins else 0
+        if low != last:  # neighbours mostly share their bins
+            pulse[last] += here
+            pulse[last + 1 if last + 1 < bins else 0] += beyond
+            last, here, beyond = low, 0.0, 0.0
+        here += power[i] * (1.0 - share)
+        beyond += power[i] * share
+    pulse[last] += here
+    pulse[last + 1 if last + 1 < bins else 0] += beyond
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -385,10 +395,9 @@ def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-de
     """Scattered intensity at NODES sines of the local grazing angle, 0 to 1."""
     known = error.any()
     for i in range(NODES):
-        sine = max(i, 0.1) / (NODES - 1.0)
-        law[i] = law_intensity(sine, exponent, concentration)
+        law[i] = np.exp(exponent * LOG_SINES[i] - concentration * OFFSETS[i])
         if known:
-            law[i] *= np.exp(np.interp(np.log(sine), LAW_KNOTS, error))
+            law[i] *= np.exp(np.interp(LOG_SINES[i], LAW_KNOTS, error))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -404,11 +413,9 @@ def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
         facets[2, i] = np.sqrt(1.0 + along * along + beside * beside)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_rendered(  # type: ignore[no-untyped-def]
-    wave, tangent, ground_range, shadow, facets, law, pulse
-):
-    """Sum a wavelength's power in bins of image phase, for a place at a ground range.
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def fill_echoes(wave, tangent, ground_range, shadow, facets, law, power, place):  # type: ignore[no-untyped-def]
+    """Fill a wavelength's facets' power and image phase (cycles), for a place at a ground range.
 
     `facets` as :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
     """
@@ -420,27 +427,19 @@ def fill_rendered(  # type: ignore[no-untyped-def]
         for i in range(n):
             elevation[i] = heights[i] - tangent * ground_range
         fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
-    else:
-        lit[:] = 1.0
     per_range = 1.0 / ground_range
     bend = 0.5 * (1.0 + tangent * tangent) * per_range
     for i in range(n):
-        if lit[i] <= 0.0:
-            continue
         h = heights[i]
         # the ray's own grazing angle is less by h / range
         grazing = (sine + (slopes[i] - h * per_range) * cosine) / areas[i]
-        if grazing <= 0.0:
-            # of a facet that the ray grazes a part may be lit where its middle is turned away
-            if not shadow:
-                continue
-            grazing = 0.0
-        x = min(grazing, 1.0) * (NODES - 1)
+        x = min(max(grazing, 0.0), 1.0) * (NODES - 1)
         low = min(int(x), NODES - 2)
-        power = areas[i] * lit[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
+        power[i] = areas[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
+        # of a facet that the ray grazes a part may be lit where its middle is turned away
+        power[i] *= lit[i] if shadow else (1.0 if grazing > 0.0 else 0.0)
         # the range r whose r' = sqrt(r^2 + (A - h)^2 - A^2) this is, to second order
-        lean = h * (tangent - h * bend)
-        deposit(pulse, (i + 0.5) / n - lean * wave, power)
+        place[i] = (i + 0.5) / n - h * (tangent - h * bend) * wave
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -452,9 +451,9 @@ def published_amplitude(grazing, concentration):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_published(  # type: ignore[no-untyped-def]
-    ripple, wave, tangent, ground_range, shadow, facets, pulse
+    ripple, wave, tangent, ground_range, shadow, facets, power, place
 ):
-    """Sum the published intensity a*^2 (ZC 3 and 4) in bins of phase: no area and no lean."""
+    """Fill the published intensity a*^2 (ZC 3 and 4) of facets: no area and no lean."""
     n = facets.shape[1]
     unit, derivative, elevation, lit = facets[0], facets[1], facets[3], facets[4]
     fill_profile(0.0, 0.0, np.zeros(2), unit, derivative)
@@ -474,7 +473,8 @@ def fill_published(  # type: ignore[no-untyped-def]
     )
     for i in range(n):
         amplitude = max(flat + 0.5 * span * derivative[i], 0.0)
-        deposit(pulse, (i + 0.5) / n, lit[i] * amplitude * amplitude)
+        power[i] = lit[i] * amplitude * amplitude
+        place[i] = (i + 0.5) / n
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -494,66 +494,93 @@ def fill_blur(width, kernel):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_blurred(pulse, kernel, reach, waves, blurred):  # type: ignore[no-untyped-def]
-    """Blur a pulse along phase and scale it to a mean of 1; return where its fundamental peaks.
-
-    `waves` are cosine and sine of the bins' phases (2, bins).
-    """
+def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
+    """Blur a pulse along phase and scale it to a mean of 1."""
     bins = pulse.size
     mean = 0.0
     for i in range(bins):
         mean += pulse[i] / bins
     scale = 1.0 / max(mean, 1e-300)
-    cosine, sine = 0.0, 0.0
     for i in range(bins):
         value = pulse[i] * kernel[0]
         for k in range(1, reach + 1):
             high = i + k if i + k < bins else i + k - bins
             value += kernel[k] * (pulse[high] + pulse[i - k])
         blurred[i] = value * scale
-        cosine += blurred[i] * waves[0, i]
-        sine += blurred[i] * waves[1, i]
-    return np.arctan2(sine, cosine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def fill_between(ground_range, first, last, pulses, levels):  # type: ignore[no-untyped-def]
+    """Fill pulses and levels of the blocks between two that are rendered, linear in range."""
+    for b in range(first + 1, last):
+        share = ground_range[b] - ground_range[first]
+        share /= ground_range[last] - ground_range[first]
+        for i in range(pulses.shape[1]):
+            pulses[b, i] = pulses[first, i] + share * (pulses[last, i] - pulses[first, i])
+        levels[b] = levels[first] + share * (levels[last] - levels[first])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def fill_lags(pulses, lags):  # type: ignore[no-untyped-def]
+    """Fill where each pulse's fundamental peaks, rad."""
+    blocks, bins = pulses.shape
+    turn = np.cos(2.0 * np.pi / bins), np.sin(2.0 * np.pi / bins)
+    for b in range(blocks):
+        cosine, sine = 0.0, 0.0
+        c, s = np.cos(np.pi / bins), np.sin(np.pi / bins)
+        for i in range(bins):
+            cosine += pulses[b, i] * c
+            sine += pulses[b, i] * s
+            c, s = c * turn[0] - s * turn[1], s * turn[0] + c * turn[1]
+        lags[b] = np.arctan2(sine, cosine)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_pulses(ripple, data, geometry, pulses, lags, levels):  # type: ignore[no-untyped-def]
-    """Pulse of each block over ripple phase (blocks, bins), of mean 1, and its fundamental's lag.
+def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-untyped-def]
+    """Pulse of each block over ripple phase (blocks, bins), of mean 1.
 
-    The lag is the ripple's phase at which the fundamental peaks, rad: 0 to first order. `levels`
-    become the mean intensity over that of flat sea floor there (blocks,).
+    `levels` become the mean intensity over that of flat sea floor there (blocks,).
     """
     blocks, bins = data.pixel_count.shape
-    facets = np.empty((5, FACETS * bins))
+    n = FACETS * bins
+    facets, power, place = np.empty((5, n)), np.empty(n), np.empty(n)
     law, pulse, kernel = np.empty(NODES), np.empty(bins), np.empty(bins)
     wave = geometry.along + ripple.wave_offset
     reach = fill_blur(ripple.blur * bins, kernel)
-    waves = np.empty((2, bins))
-    for i in range(bins):
-        angle = 2.0 * np.pi * (i + 0.5) / bins
-        waves[0, i], waves[1, i] = np.cos(angle), np.sin(angle)
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
         fill_facets(ripple, wave, geometry, facets)
+    before, stride = 0, 1 if geometry.shadow else RENDERED
     for b in range(blocks):
+        if b % stride != 0 and b < blocks - 1:
+            continue
         distance = data.ground_range[b]
         tangent = data.altitude[b] * ripple.altitude_scale / distance
-        pulse[:] = 0.0
         if geometry.published:
-            fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, pulse)
+            fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, power, place)
             flat = published_amplitude(np.arctan(tangent), ripple.concentration) ** 2
         else:
-            fill_rendered(wave, tangent, distance, geometry.shadow > 0, facets, law, pulse)
+            fill_echoes(wave, tangent, distance, geometry.shadow > 0, facets, law, power, place)
             flat = law[int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
-        levels[b] = pulse.sum() / (facets.shape[1] * flat)
-        lags[b] = fill_blurred(pulse, kernel, reach, waves, pulses[b])
+        pulse[:] = 0.0
+        deposit(pulse, place, power)
+        levels[b] = pulse.sum() / (n * flat)
+        fill_blurred(pulse, kernel, reach, pulses[b])
+        fill_between(data.ground_range, before, b, pulses, levels)
+        before = b
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
     """Most likely log gain of blocks that share one, by Fisher scoring, and its information."""
     counts, sums = data.pixel_count, data.intensity_sum
-    log_gain, information = 0.0, 1.0
+    seen, expected = 0.0, 0.0
+    for b in range(first, last):
+        for i in range(pulses.shape[1]):
+            seen += sums[b, i] - floors[b] * counts[b, i]
+            expected += pulses[b, i] * counts[b, i]
+    log_gain = np.log(max(seen / max(expected, 1e-300), 1e-3))
+    information = 1.0
     for _ in range(8):
         score, information = 0.0, 1e-9
         gain = np.exp(log_gain)
@@ -565,9 +592,44 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
                 information += share * share * counts[b, i]
         step = min(max(score / information, -1.0), 1.0)
         log_gain += step
-        if abs(step) < 1e-6:
+        if step * step * information < GAIN_TOLD:
             break
     return log_gain, information
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def pulse_at(twice, place):  # type: ignore[no-untyped-def]
+    """Pulse between bins at a place in bins, from one below 0 to twice the bins' number."""
+    bins = twice.size // 2 - 1
+    place += bins if place < 0.0 else 0.0
+    low = int(place)
+    return twice[low] + (place - low) * (twice[low + 1] - twice[low])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_means(data, twice, shifts, wave_offset, means):  # type: ignore[no-untyped-def]
+    """Fill the pulse that each bin shows, at its pixels' phase and between two blocks at its range.
+
+    `twice` holds each block's pulse twice over, `shifts` its shift in bins, 0 to the bins' number.
+    """
+    blocks, bins = means.shape
+    reach = data.ground_range
+    for b in range(blocks):
+        for i in range(bins):
+            off = data.range_offset[b, i]
+            # from the middle of the first bin
+            x = i + bins * (data.phase_offset[b, i] + wave_offset * off)
+            here = pulse_at(twice[b], x + shifts[b])
+            means[b, i] = here
+            other = b + 1 if off > 0.0 else b - 1
+            if off == 0.0 or blocks == 1:
+                continue
+            if not 0 <= other < blocks:  # beyond the last, what the one before foretells
+                other = 2 * b - other
+            share = off / (reach[other] - reach[b])
+            means[b, i] = max(
+                here + share * (pulse_at(twice[other], x + shifts[other]) - here), 0.0
+            )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -578,17 +640,20 @@ def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-unty
     """
     blocks, bins = means.shape
     pulses, lags, levels = np.empty((blocks, bins)), np.empty(blocks), np.empty(blocks)
-    fill_pulses(ripple, data, geometry, pulses, lags, levels)
-    floors = np.empty(blocks)
-    offsets = data.phase_offset
+    fill_pulses(ripple, data, geometry, pulses, levels)
+    if geometry.follows_image:
+        fill_lags(pulses, lags)
+    floors, shifts = np.empty(blocks), np.empty(blocks)
+    twice = np.empty((blocks, 2 * bins + 2))
     for b in range(blocks):
         shift = (ripple.phase + (lags[b] if geometry.follows_image else 0.0)) / (2.0 * np.pi)
         shift += ripple.wave_offset * data.place[b]
-        for i in range(bins):
-            place = (i + 0.5) / bins + offsets[b, i] + shift
-            means[b, i] = value_at(pulses[b], place)
+        shifts[b] = bins * (shift - np.floor(shift))
+        twice[b, :bins], twice[b, bins : 2 * bins] = pulses[b], pulses[b]
+        twice[b, 2 * bins :] = pulses[b, :2]
         ratio = data.ground_range[b] / geometry.range_middle
         floors[b] = ripple.noise * ratio**ripple.noise_slope / data.trend[b]
+    fill_means(data, twice, shifts, ripple.wave_offset, means)
     value, first = 0.0, 0
     for last in range(1, blocks + 1):
         if last < blocks and data.group[last] == data.group[first]:
@@ -627,7 +692,7 @@ def fill_residuals(means, data, residuals):  # type: ignore[no-untyped-def]
     """Signed root of the deviance of each bin, times its pixels; return the log likelihood.
 
     To first order the intensity's relative residual, but an error that is fitted to it never gains
-    more than the misfit costs.
+    more than the misfit costs. The likelihood is that over the one of the image's own means.
     """
     counts, sums = data.pixel_count, data.intensity_sum
     level = 0.0
@@ -639,8 +704,9 @@ def fill_residuals(means, data, residuals):  # type: ignore[no-untyped-def]
                 level -= sums[b, i] / m
                 continue
             ratio = max(sums[b, i] / (n * m), 1e-12)
-            level -= n * (np.log(m) + ratio)
-            size = np.sqrt(max(2.0 * (ratio - 1.0 - np.log(ratio)), 0.0))
+            deviance = max(2.0 * (ratio - 1.0 - np.log(ratio)), 0.0)
+            level -= 0.5 * n * deviance
+            size = np.sqrt(deviance)
             residuals[b, i] = n * (size if ratio > 1.0 else -size)
     return level
 
@@ -655,9 +721,49 @@ def log_posteriors(points, data, geometry):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def heights_at(points, geometry):  # type: ignore[no-untyped-def]
-    """A_H of sampling coordinates (n, coordinates), m."""
-    heights = np.empty(points.shape[0])
-    for i in range(heights.size):
-        heights[i] = parameters_at(points[i], geometry).height
-    return heights
+def fill_parameters(points, geometry, values):  # type: ignore[no-untyped-def]
+    """Fill parameters (n, fields of :class:`Parameters`) at points (n, coordinates)."""
+    for i in range(points.shape[0]):
+        values[i] = parameters_at(points[i], geometry)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: ignore[no-untyped-def]
+    """Fill slopes of the log of the expected intensity, (free coordinates, all bins).
+
+    By differences over `size`, smaller for the wave number. `means` become the expected intensity
+    (blocks, bins), `prior` the slope and curvature of the log prior (free coordinates, 2).
+    """
+    gains = np.empty(means.shape[0])
+    moved = np.empty(means.shape)
+    ripple = parameters_at(z, geometry)
+    known = log_prior(z, ripple, geometry)
+    fill_expected(ripple, data, geometry, means, gains)
+    for k in range(free.size):
+        i = free[k]
+        step = size / max(geometry.range_middle, 1.0) if i == 0 else size
+        beside = z.copy()
+        beside[i] = z[i] - step
+        before = log_prior(beside, parameters_at(beside, geometry), geometry)
+        beside[i] = z[i] + step
+        ripple = parameters_at(beside, geometry)
+        after = log_prior(beside, ripple, geometry)
+        prior[k] = 0.0
+        if after > -np.inf and before > -np.inf:
+            prior[k, 0] = (after - before) / (2.0 * step)
+            prior[k, 1] = max((2.0 * known - after - before) / step**2, 0.0)
+        fill_expected(ripple, data, geometry, moved, gains)
+        n = 0
+        for b in range(means.shape[0]):
+            for j in range(means.shape[1]):
+                slopes[k, n] = np.log(moved[b, j] / means[b, j]) / step
+                n += 1
+
+
+def named_parameters(points: FloatArray, geometry: Geometry) -> dict[str, FloatArray]:
+    """Return each parameter (...,) by its name, at sampling coordinates (..., coordinates)."""
+    flat = points.reshape(-1, points.shape[-1])
+    values = np.empty((len(flat), len(Parameters._fields)))
+    fill_parameters(flat, geometry, values)
+    columns = values.T.reshape(-1, *points.shape[:-1])
+    return dict(zip(Parameters._fields, columns.copy(), strict=True))

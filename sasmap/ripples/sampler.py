@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from sasmap.numerics.gaussians import Mixture, expectation_maximisation
+from sasmap.numerics.gaussians import Mixture, expectation_maximisation, fill_squares
 
 FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
@@ -24,6 +24,8 @@ STUDENT = 8.0
 # By how much the fitted scales are widened: a proposal too narrow would not find out, but in eleven
 # dimensions a tenth too wide already halves the accepted share.
 WIDENED = 1.04
+# Least log weight of a peak, below that of the first.
+LEAST_WEIGHT = 4.0
 # Most components, and the least variance of one over that of the whole population.
 COMPONENTS, FLOOR = 5, 1e-3
 # Local steps over the difference of two particles, times the root of twice the dimension.
@@ -32,7 +34,11 @@ LOCAL_STEP = 1.7
 # of the density; burn-in's rounds and their steps; accepted share and log of the density over the
 # proposal's at which they end, that over its median (pipelines/ripples/coherent.py).
 DEFENSIVE, WIDE = 0.2, 1.6
-ADAPTATIONS, ADAPTATION_STEPS, LEARNED, SHORTFALL = 6, 200, 0.3, 3.0
+ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 16, 0.3, 3.5
+# Draws a chain of a first round, and after which a proposal is learned once more.
+ROUND, RELEARN = 300, 900
+# Steps of a chain that propose anew, to one local step.
+LOCAL = 2
 # Rounds of a mixture's fit, and the gain in mean log likelihood at which it ends.
 EM_ROUNDS, EM_ENOUGH = 20, 1e-3
 # Share of a chain's draws that are independent, about.
@@ -75,12 +81,10 @@ class Proposal:
 
     def log_density(self, points: FloatArray) -> FloatArray:
         """Log density at points (n, size)."""
-        size = points.shape[1]
-        logs = np.empty((self.mixture.weight.size, len(points)))
-        for k, (mean, inverse) in enumerate(zip(self.mixture.mean, self._inverse, strict=True)):
-            square = ((inverse @ (points - mean).T) ** 2).sum(axis=0)
-            logs[k] = self._norm[k] - 0.5 * (STUDENT + size) * np.log1p(square / STUDENT)
-        return log_sum(logs)
+        squares = np.empty((len(points), self.mixture.weight.size))
+        fill_squares(points, self.mixture.mean, self._inverse, squares)
+        power = 0.5 * (STUDENT + points.shape[1])
+        return log_sum((self._norm - power * np.log1p(squares / STUDENT)).T)
 
 
 def log_sum(logs: FloatArray) -> FloatArray:
@@ -95,11 +99,14 @@ class Chains(NamedTuple):
     Attributes
     ----------
     draws : ndarray (chains, draws, size)
+    excess : ndarray (chains, draws)
+        Log of the density over the proposal's, at the draws.
     accepted : float
         Fraction of the proposals.
     """
 
     draws: FloatArray
+    excess: FloatArray
     accepted: float
 
 
@@ -111,7 +118,7 @@ def metropolis_hastings(
     steps: int,
     rng: np.random.Generator,
 ) -> Chains:
-    """Run chains that propose anew and step locally, by turns.
+    """Run chains that propose anew at each step, and step locally before every few.
 
     The local steps are differences of two particles (ter Braak and Vrugt 2008); they
     lead out of places that the proposal makes too little of.
@@ -134,36 +141,43 @@ def metropolis_hastings(
     """
     chains, size = starts.shape
     points = proposal.draw(chains * steps, rng)
-    levels = log_density(points)
-    weights = (levels - proposal.log_density(points)).reshape(steps, chains)
-    points, levels = points.reshape(steps, chains, size), levels.reshape(steps, chains)
-    pairs = rng.integers(len(particles), size=(2, steps, chains))
+    excesses = (log_density(points) - proposal.log_density(points)).reshape(steps, chains)
+    points = points.reshape(steps, chains, size)
+    local = -(-steps // LOCAL)
+    pairs = rng.integers(len(particles), size=(2, local, chains))
     jumps = LOCAL_STEP / np.sqrt(2 * size) * (particles[pairs[0]] - particles[pairs[1]])
-    chance = np.log(rng.random((2, steps, chains)))
-    draws = np.empty((chains, steps, size))
+    nearer = np.log(rng.random((local, chains)))
+    anew = np.log(rng.random((steps, chains)))
+    draws, kept = np.empty((chains, steps, size)), np.empty((chains, steps))
     accepted = 0
-    state, level = starts.copy(), log_density(starts)
+    state = starts.copy()
+    level = log_density(state)
+    excess = level - proposal.log_density(state)
     for k in range(steps):
-        moved = state + jumps[k]
-        reached = log_density(moved)
-        nearer = chance[0, k] < reached - level
-        state, level = np.where(nearer[:, None], moved, state), np.where(nearer, reached, level)
-        weight = level - proposal.log_density(state)
-        anew = chance[1, k] < weights[k] - weight
-        state, level = np.where(anew[:, None], points[k], state), np.where(anew, levels[k], level)
-        accepted += int(anew.sum())
-        draws[:, k] = state
-    return Chains(draws, accepted / (chains * steps))
+        if k % LOCAL == 0:
+            moved = state + jumps[k // LOCAL]
+            level = excess + proposal.log_density(state)
+            reached = log_density(moved)
+            near = nearer[k // LOCAL] < reached - level
+            if near.any():
+                state = np.where(near[:, None], moved, state)
+                above = np.where(near, reached, level) - proposal.log_density(state)
+                excess = np.where(near, above, excess)
+        far = anew[k] < excesses[k] - excess
+        state = np.where(far[:, None], points[k], state)
+        excess = np.where(far, excesses[k], excess)
+        accepted += int(far.sum())
+        draws[:, k], kept[:, k] = state, excess
+    return Chains(draws, kept, accepted / (chains * steps))
 
 
 def adapted(
     log_density: LogDensity,
     proposal: Proposal,
     particles: FloatArray,
-    starts: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[Proposal, FloatArray, FloatArray]:
-    """Learn a proposal from chains in rounds of burn-in, until nothing is far beyond it.
+    """Learn a proposal from many short chains in rounds of burn-in, until nothing is far beyond it.
 
     Where the density is much larger than the proposal a chain stays long, and such places are what
     importance sampling did not find.
@@ -174,7 +188,7 @@ def adapted(
     proposal : Proposal
         To begin with.
     particles : ndarray (n, size)
-    starts : ndarray (chains, size)
+        To begin from.
     rng : Generator
 
     Returns
@@ -182,25 +196,76 @@ def adapted(
     proposal : Proposal
         To be frozen.
     particles : ndarray (m, size)
-    states : ndarray (chains, size)
-        Where the chains ended.
+    states : ndarray (WALKERS, size)
+        Where the chains ended, in random order.
     """
-    seen = np.empty((0, starts.shape[1]))
-    states = starts
-    for k in range(ADAPTATIONS):
+    states = particles[rng.permutation(len(particles))[:WALKERS]]
+    seen = np.empty((0, particles.shape[1]))
+    for _ in range(ADAPTATIONS):
         guarded = defended(proposal)
-        chains = metropolis_hastings(log_density, guarded, particles, states, ADAPTATION_STEPS, rng)
+        chains = metropolis_hastings(log_density, guarded, particles, states, WALK, rng)
         states = chains.draws[:, -1]
-        drawn = chains.draws[:, ADAPTATION_STEPS // 4 if k == 0 else 0 :]
-        drawn = drawn.reshape(-1, starts.shape[1])
-        some = drawn[:: len(starts)]
-        excess = log_density(some) - guarded.log_density(some)
-        if chains.accepted > LEARNED and excess.max() - np.median(excess) < SHORTFALL:
-            return guarded, particles, states
-        seen = np.concatenate([seen[len(seen) // 3 :], drawn])
+        beyond = chains.excess.max() - np.median(chains.excess)
+        if chains.accepted > LEARNED and beyond < SHORTFALL:
+            break
+        seen = np.concatenate(
+            [seen[len(seen) // 3 :], chains.draws[:, WALK // 4 :].reshape(-1, seen.shape[1])]
+        )
         particles = seen[rng.permutation(len(seen))]
         proposal = fit_proposal(particles, len(particles) * INDEPENDENT)
-    return defended(proposal), particles, states
+    return defended(proposal), particles, states[rng.permutation(len(states))]
+
+
+def sample(
+    log_density: LogDensity,
+    proposal: Proposal,
+    told: Callable[[FloatArray], bool],
+    chains: int,
+    most: int,
+    rng: np.random.Generator,
+) -> tuple[Chains, bool]:
+    """Draw from a density until that suffices: population, burn-in, then a frozen proposal.
+
+    Where a first run of chains does not suffice, it becomes burn-in, and a proposal is learned from
+    it once more.
+
+    Parameters
+    ----------
+    log_density : callable
+    proposal : Proposal
+        To begin with.
+    told : callable
+        Whether draws (chains, draws, size) suffice.
+    chains : int
+    most : int
+        Draws a chain.
+    rng : Generator
+
+    Returns
+    -------
+    chains : Chains
+    done : bool
+        Whether they suffice.
+    """
+    particles, proposal = population(log_density, proposal, rng)
+    proposal, particles, states = adapted(log_density, proposal, particles, rng)
+    states, relearned = states[:chains], False
+    rounds: list[Chains] = []
+    kept, done = 0, False
+    while kept < most and not done:
+        if kept >= RELEARN and not relearned:
+            learned = np.concatenate([r.draws for r in rounds], axis=1).reshape(-1, states.shape[1])
+            particles = learned[rng.permutation(len(learned))]
+            proposal = defended(fit_proposal(particles, len(particles) * INDEPENDENT))
+            rounds, kept, relearned = [], 0, True
+        steps = min(max(ROUND, kept // 2), most - kept)
+        run = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
+        states, kept = run.draws[:, -1], kept + steps
+        rounds.append(run)
+        draws = np.concatenate([r.draws for r in rounds], axis=1)
+        done = told(draws)
+    accepted = sum(r.accepted * r.draws.shape[1] for r in rounds) / kept
+    return Chains(draws, np.concatenate([r.excess for r in rounds], axis=1), accepted), done
 
 
 def defended(proposal: Proposal) -> Proposal:
@@ -221,8 +286,7 @@ def defended(proposal: Proposal) -> Proposal:
 
 def mixture_of_peaks(peaks: list[tuple[FloatArray, FloatArray, float]]) -> Proposal:
     """Return a proposal about peaks: their place, covariance and log weight."""
-    level = np.array([p[2] for p in peaks])
-    weight = np.maximum(np.exp(0.5 * level), 0.05)
+    weight = np.exp(np.maximum([p[2] for p in peaks], -LEAST_WEIGHT))
     covariance = np.array([p[1] for p in peaks]) * WIDENED**2
     return Proposal(Mixture(weight / weight.sum(), np.array([p[0] for p in peaks]), covariance))
 

@@ -14,6 +14,7 @@ from sasmap.ripples.rendering import (
     Histogram,
     Parameters,
     fill_expected,
+    fill_lags,
     fill_pulses,
 )
 from sasmap.ripples.settings import RippleSettings
@@ -65,6 +66,7 @@ def empty(ground_range, altitude, bins=64, count=400.0, group=None, offset=0.0):
         np.full(shape, count),
         np.zeros(shape),
         np.full(shape, offset),
+        np.zeros(shape),
         ground_range - ground_range.mean(),
         ground_range,
         np.full(shape[0], altitude),
@@ -91,7 +93,8 @@ def noiseless(truth, data, where):
 def pulses_of(truth, data, where):
     """Pulses (blocks, bins) and lags (blocks,)."""
     pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
-    fill_pulses(truth, data, where, pulses, lags, np.empty(len(lags)))
+    fill_pulses(truth, data, where, pulses, np.empty(len(lags)))
+    fill_lags(pulses, lags)
     return pulses, lags
 
 

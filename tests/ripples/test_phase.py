@@ -7,6 +7,7 @@ import pytest
 
 from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.fit import fitted, lag_over_range, refined
+from sasmap.ripples.optimise import search
 from sasmap.ripples.phase import (
     STRAIGHT,
     bend,
@@ -49,8 +50,8 @@ def both_fits():
     image, task, field, _, _ = summed(made.clip, made.wave)
     boxes = demodulate(image, made.wave)
     boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
-    rigid = refined(task, fitted(task, field, boxes.trend))
-    curved = refined(task, fitted(task, bent(image, boxes, bend(boxes)), boxes.trend))
+    rigid = refined(task, fitted(task, field, boxes.trend, search))
+    curved = refined(task, fitted(task, bent(image, boxes, bend(boxes)), boxes.trend, search))
     return rigid, curved
 
 
@@ -59,7 +60,7 @@ def scores(made):
     image, task, field, _, _ = summed(made.clip, made.wave)
     boxes = demodulate(image, made.wave)
     boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
-    upright = turned_back(image, boxes, lag_over_range(fitted(task, field, boxes.trend)))
+    upright = turned_back(image, boxes, lag_over_range(fitted(task, field, boxes.trend, search)))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
     return bend(upright).scores
 
@@ -106,7 +107,7 @@ def test_the_field_follows_the_true_phase():
     image, _, _, _, _ = summed(made.clip, made.wave)
     boxes = demodulate(image, made.wave)
     field = bent(image, boxes, bend(boxes))
-    cycles = field.cycles(image.shape)
+    cycles = field.cycles
     row, column = image.rows_and_columns
     per_column, per_row, _ = field.per_pixel(image)
     seen = 2 * np.pi * (cycles + per_column * column + per_row * row)

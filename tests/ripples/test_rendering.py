@@ -11,14 +11,14 @@ from sasmap.ripples.rendering import (
     LINE_OF_SIGHT,
     _gain,
     contrast_per_slope,
+    deposit,
+    fill_echoes,
     fill_expected,
     fill_facets,
     fill_law,
     fill_lit,
     fill_profile,
     fill_published,
-    fill_rendered,
-    law_intensity,
     log_posterior,
 )
 from sasmap.ripples.rendering import NODES as LAW_NODES
@@ -57,6 +57,14 @@ def crest_height(place, peakedness, asymmetry, n=20000):
     return 2 * here / np.ptp(whole)
 
 
+def law_intensity(sine, exponent, concentration):
+    """Scattered intensity by the sine of the local grazing angle, 0 where turned away."""
+    sine = np.asarray(sine)
+    lit = np.clip(sine, 1e-9, 1.0)
+    value = lit**exponent * np.exp(-concentration * (np.arcsin(lit) - 0.5 * np.pi) ** 2)
+    return np.where(sine > 0, value, 0.0)
+
+
 def ray_traced(truth, along, ground_range, altitude, n=6000, before=3):
     """Place in the image (cycles) and power of a wavelength's facets, facet by facet."""
     u = (np.arange(-before * n, n) + 0.5) / n
@@ -70,9 +78,9 @@ def ray_traced(truth, along, ground_range, altitude, n=6000, before=3):
     theta = np.arctan2(altitude - height, ground_range)
     area = np.sqrt(1 + slope**2)
     sine = (np.sin(theta) + slope * np.cos(theta)) / area
-    power = [law_intensity(s, truth.exponent, truth.concentration) for s in sine[-n:]]
+    power = law_intensity(sine[-n:], truth.exponent, truth.concentration)
     moved = np.sqrt(ground_range**2 + (altitude - height) ** 2 - altitude**2) - ground_range
-    return (u + moved * along)[-n:], (np.array(power) * area[-n:] * seen[-n:]), seen[-n:].mean()
+    return (u + moved * along)[-n:], (power * area[-n:] * seen[-n:]), seen[-n:].mean()
 
 
 def test_profile_has_mean_zero_half_range_one_and_its_derivative():
@@ -189,7 +197,9 @@ def test_echoes_are_placed_by_slant_range(altitude, distance, height):
     facets, pulse, law = np.zeros((5, n)), np.zeros(bins), np.ones(LAW_NODES)
     facets[0], facets[2] = height, 1e-12
     facets[2, 100] = 1.0  # all power in one facet
-    fill_rendered(along, altitude / distance, distance, False, facets, law, pulse)
+    power, at = np.empty((2, n))
+    fill_echoes(along, altitude / distance, distance, False, facets, law, power, at)
+    deposit(pulse, at, power)
     place = np.angle(harmonic(pulse, 1)) / (2 * np.pi)
     # what is shown at a range lies at r with r'^2 = r^2 + (A - h)^2 - A^2
     lies = np.sqrt(distance**2 - (altitude - height) ** 2 + altitude**2)
@@ -208,7 +218,9 @@ def test_published_model_is_the_literal_one(rule, distance):
     n, wave, height, altitude = 384, 0.6, 0.07, 4.83
     facets, pulse = np.zeros((5, n)), np.zeros(n)
     truth = ripple(height, GAUSSIAN)
-    fill_published(truth, wave, altitude / distance, distance, rule, facets, pulse)
+    power, at = np.empty((2, n))
+    fill_published(truth, wave, altitude / distance, distance, rule, facets, power, at)
+    deposit(pulse, at, power)
     phase = 2 * np.pi * (np.arange(n) + 0.5) / n
     grazing, steepness = np.arctan2(altitude, distance), 2 * np.pi * wave * height
     literal = lit_amplitude(grazing, np.cos(phase), 1.0, steepness) ** 2

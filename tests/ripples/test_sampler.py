@@ -8,6 +8,7 @@ from sasmap.numerics.gaussians import Mixture
 from sasmap.ripples.diagnostics import ess_bulk, rhat
 from sasmap.ripples.sampler import (
     Proposal,
+    defended,
     effective_number,
     fit_proposal,
     log_sum,
@@ -67,7 +68,7 @@ def sampled(name, log_density=None, seed=1, steps=4000, change=None):
     particles, proposal = population(log_density, mixture_of_peaks(STARTS[name]), rng)
     burn_in = metropolis_hastings(log_density, proposal, particles, particles[:4], 300, rng).draws
     particles = burn_in[:, 75:].reshape(-1, particles.shape[1])
-    proposal = fit_proposal(particles, 0.2 * len(particles))
+    proposal = defended(fit_proposal(particles, 0.2 * len(particles)))
     if change:
         proposal = change(proposal)
     starts = burn_in[:, -1]

@@ -1,0 +1,123 @@
+"""The ridge of a clip's posterior along the exponent of the scattering law.
+
+Law and height trade against each other: the posterior is a ridge that bends, along which the
+information changes by orders of magnitude, so that a Gaussian about its peak is a poor picture of
+it. Given the exponent it is nearly Gaussian. So the ridge is walked along, with a Gaussian at every
+step (as integrated nested Laplace approximations do: Rue, Martino and Chopin 2009); together they
+are what sampling starts from.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.optimise import (
+    LAW,
+    Peak,
+    covariance_of,
+    fisher_scoring,
+    free_coordinates,
+    information_at,
+)
+from sasmap.ripples.rendering import Geometry, Histogram, log_posterior
+
+FloatArray = NDArray[np.float64]
+
+# Log posterior below the best peak's at which another counts for nothing.
+NEGLIGIBLE = 15.0
+# A step along the ridge, in standard deviations there; its least and largest length in sampling
+# coordinates; steps to either side, and rounds of Fisher scoring in each.
+STEP, SHORTEST, LONGEST, STEPS, ROUNDS = 1.0, 0.08, 0.8, 14, 4
+# Log of the mass below that of the ridge's best place at which a walk ends, and at which a place
+# counts for nothing.
+END, NOTHING = 7.0, 9.0
+# Width of a place along the ridge over the step to the next, at most so many of its own variances.
+OVERLAP, WIDEST = 0.7, 1.5
+
+
+class _Place:
+    """A place on the ridge: the peak at an exponent, and a Gaussian about it."""
+
+    def __init__(self, z: FloatArray, data: Histogram, geometry: Geometry) -> None:
+        free = free_coordinates(geometry)
+        other = free != LAW
+        peak = fisher_scoring(z, data, geometry, ROUNDS, free[other])
+        self.z = peak.z
+        information = information_at(peak.z, data, geometry)
+        covariance = covariance_of(information)
+        self.law = int(np.flatnonzero(~other)[0])
+        self.variance = float(covariance[self.law, self.law])
+        self.tangent = covariance[:, self.law] / self.variance
+        self.given = np.zeros_like(covariance)
+        self.given[np.ix_(other, other)] = covariance_of(information[np.ix_(other, other)])
+        inner = self.given[np.ix_(other, other)]
+        self.mass = peak.level + 0.5 * float(np.linalg.slogdet(2 * np.pi * inner)[1])
+
+    def beside(self, step: float, free: NDArray[np.int64]) -> FloatArray:
+        """Coordinates a step along the tangent."""
+        z = self.z.copy()
+        z[free] += step * self.tangent
+        return z
+
+
+def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]:
+    """Walk from each peak along its ridge, to both sides.
+
+    Parameters
+    ----------
+    peaks : list of Peak
+        The likeliest first.
+    data : Histogram
+    geometry : Geometry
+
+    Returns
+    -------
+    list of Peak
+        Places on the ridges with a Gaussian about each, whose `level` is the log of its mass over
+        the largest; the peaks themselves where the law is fixed.
+    """
+    known = [p for p in peaks if p.level > peaks[0].level - NEGLIGIBLE]
+    if not np.isnan(geometry.fixed[0]):
+        return [p._replace(level=p.level - peaks[0].level) for p in known]
+    found = [place for peak in known for place in _walked(peak, data, geometry)]
+    most = max(p.level for p in found)
+    return [p._replace(level=p.level - most) for p in found if p.level > most - NOTHING]
+
+
+def _walked(peak: Peak, data: Histogram, geometry: Geometry) -> list[Peak]:
+    """Places along the ridge of one peak, in order of their exponent."""
+    start = _Place(peak.z, data, geometry)
+    free = free_coordinates(geometry)
+    most = start.mass
+    ridge = [start]
+    for sign in (-1.0, 1.0):
+        place = start
+        for _ in range(STEPS):
+            step = sign * float(np.clip(STEP * np.sqrt(place.variance), SHORTEST, LONGEST))
+            while abs(step) > 0.1 * SHORTEST:
+                if np.isfinite(log_posterior(place.beside(step, free), data, geometry)):
+                    break
+                step /= 2
+            else:
+                break
+            place = _Place(place.beside(step, free), data, geometry)
+            ridge.append(place)
+            most = max(most, place.mass)
+            if place.mass < most - END:
+                break
+    ridge.sort(key=lambda p: float(p.z[LAW]))
+    return _spread(ridge)
+
+
+def _spread(ridge: list[_Place]) -> list[Peak]:
+    """Give each place a width along the ridge that reaches to the next."""
+    exponents = np.array([p.z[LAW] for p in ridge])
+    peaks = []
+    for k, place in enumerate(ridge):
+        around = np.abs(exponents[max(k - 1, 0) : k + 2] - exponents[k])
+        step = float(around.max()) or LONGEST
+        width = min((OVERLAP * step) ** 2, WIDEST * place.variance)
+        covariance = place.given + width * np.outer(place.tangent, place.tangent)
+        peaks.append(Peak(place.z, place.mass + float(np.log(step)), covariance))
+    return peaks
