@@ -3,29 +3,45 @@
     python pipelines/studies/stability.py [--quick] [--output docs/studies]
 
 One line each: what was asked of it, over what, the worst error found and where. Writes
-stability.md.
+stability.md. Parts of the engine are called as its tests call them (tests/ripples/engine.py).
 `pipelines/ripples/extremes.py` and `pipelines/sediments/laws.py` hold the longer lists.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import mpmath
 import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.special import gammaincinv, ndtr
 
 from sasmap.numerics.gaussians import Mixture, log_densities
-from sasmap.ripples import Prior, RippleSettings, estimate
+from sasmap.ripples import Clip, Prior, RippleSettings, estimate
 from sasmap.ripples.diagnostics import ess_bulk, rhat
-from sasmap.ripples.mixture import product
+from sasmap.ripples.fusion import fuse, fuse_cells, learn_survey
 from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
+from sasmap.ripples.summary import summarise
 from sasmap.sediments import fit, generalized_k, k_distribution
+from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.nodes import refine_boundary
-from sasmap.simulate import straight_clip
+from sasmap.sediments.segmentation import find_classes
+from sasmap.sediments.trends import AmplitudeGrid
+from sasmap.simulate import coherent_cell
 from sasmap.survey.navigation import Track
+
+sys.path.append(str(Path(__file__).resolve().parents[2]))
+from tests.ripples.engine import empty, geometry, pulses_of, ripple
+
+# Altitude (m) and frequency (cycles/m) of rendered wavelengths, and bins a wavelength.
+ALTITUDE, WAVE, BINS = 50.0, 1.0, 64
+# Exponent and concentration within the bounds of the law's prior.
+CORNERS = ((-0.9, -0.9), (-0.9, 4.9), (4.9, -0.9), (4.9, 4.9), (2.0, 0.0), (0.0, 0.95))
 
 
 class Line(NamedTuple):
@@ -131,29 +147,43 @@ def conditions(count: int) -> Iterator[tuple[str, float]]:
 
 
 def products(count: int) -> Iterator[tuple[str, float]]:
-    """Errors of the mean of a product of Gaussians of very different widths."""
-    for power in range(7):
-        wide = Mixture(np.ones(1), np.zeros((1, 3)), np.eye(3)[None])
-        small = 10.0**-power
-        narrow = Mixture(np.ones(1), np.full((1, 3), 0.3), small**2 * np.eye(3)[None])
-        for first, second in ((wide, narrow), (narrow, wide)):
-            found = product(first, second)
-            exact = 0.3 / (1 + small**2)
-            error = abs(found.mean[0, 0] - exact) / small
-            yield f"widths apart 1e{power}", float(error)
+    """How far two looks of very different widths, combined, lie from the narrow one, in its sds."""
+    summary = summarise(estimate(_clip(), RippleSettings(), rng=1))
+    alone = RippleSettings(scatter=(0.0, 0.0, 0.0))
+    rows = np.array(summary.mixture)
+    for power in (0, 2, 4, 6) if count > 100 else (0, 2):
+        # the same mean, covariances of log f, log contrast and azimuth drawn together
+        scale = np.ones((5, 5))
+        scale[:3, :3] = 10.0 ** (-2 * power)
+        scale[:3, 3:] = scale[3:, :3] = 10.0**-power
+        sharp = rows.copy()
+        mean = np.average(rows[:, 1:4], axis=0, weights=rows[:, 0])
+        sharp[:, 1:4] = mean + 10.0**-power * (rows[:, 1:4] - mean)
+        sharp[:, 6:] *= scale.ravel()
+        narrow = replace(summary, mixture=tuple(tuple(row) for row in sharp))
+        try:
+            final = fuse((summary, narrow), alone).final.mean[0]
+        except np.linalg.LinAlgError:
+            final = np.inf
+        sd = summary.sd[0] * 10.0**-power
+        yield f"widths apart 1e{power}", abs(final - np.exp(mean[0])) / sd
+
+
+def _clip() -> Clip:
+    """Straight ripples with some shadow: an estimate that converges at once."""
+    return coherent_cell(
+        np.random.default_rng(1), frequency=0.62, height=0.08, near=12.0, shape=(260, 260)
+    ).clip
 
 
 def separations(count: int) -> Iterator[tuple[str, float]]:
     """How far a posterior lies from its prior, prior sds, where the prior is so much sharper."""
-    clip = straight_clip(
-        np.random.default_rng(1), frequency=0.6, height=0.07, pixel_size=0.04, shape=(300, 300),
-        near=20.0,
-    )  # fmt: skip
+    clip = _clip()
     settings = RippleSettings()
     bounds = settings.frequency, settings.height
     free = estimate(clip, settings, rng=1)
     sd = float(free.sd.frequency)
-    for power in (0, 2, 4, 6):
+    for power in (0, 2, 4, 6) if count > 100 else (0, 6):
         mean = (float(free.mean.frequency), float(free.mean.height))
         prior = Prior(mean, (sd * 10.0**-power, 1.0), bounds)
         got = estimate(clip, settings, rng=1, prior=prior)
@@ -197,6 +227,103 @@ def amplitudes(count: int) -> Iterator[tuple[str, float]]:
             yield f"grazing {grazing:g}, steepness {steepness:g}", float(bad.mean())
 
 
+def ray_traced(height: float, law: tuple[float, float], reach: float, n: int) -> np.ndarray:
+    """Power of one wavelength of a sine by bins of image phase: facet by facet, by rays."""
+    before = 2
+    u = (np.arange(-before * n, n) + 0.5) / n
+    floor = height * np.sin(2 * np.pi * u)
+    slope = 2 * np.pi * WAVE * height * np.cos(2 * np.pi * u)
+    # the ray to a point of this wavelength is higher over a nearer point by what it rises
+    seen = np.empty(n, bool)
+    apart = np.arange(n, 0, -1) / n / WAVE
+    for i in range(n):
+        j = before * n + i
+        ray = ALTITUDE - (ALTITUDE - floor[j]) * (1 - apart / reach)
+        seen[i] = not (floor[j - n : j] > ray).any()
+    u, floor, slope = u[-n:], floor[-n:], slope[-n:]
+    theta = np.arctan2(ALTITUDE - floor, reach)
+    area = np.sqrt(1 + slope**2)
+    sine = np.clip((np.sin(theta) + slope * np.cos(theta)) / area, 1e-12, 1)
+    power = sine ** law[0] * np.exp(-law[1] * (np.arcsin(sine) - np.pi / 2) ** 2) * area
+    power *= seen & (np.sin(theta) + slope * np.cos(theta) > 0)
+    place = u + WAVE * (np.sqrt(reach**2 + (ALTITUDE - floor) ** 2 - ALTITUDE**2) - reach)
+    return np.bincount((place % 1 * BINS).astype(int), power, BINS)
+
+
+def rendered(count: int) -> Iterator[tuple[str, float]]:
+    """Compare rendered wavelengths with rays, from the lowest grazing to beyond layover."""
+    return _rendered(count, (1.0, 3.0, 10.0, 30.0, 60.0))
+
+
+def rendered_near(count: int) -> Iterator[tuple[str, float]]:
+    """Compare them nearly below the sonar, where a wavelength is no small part of the range."""
+    return _rendered(count, (80.0,))
+
+
+def _rendered(count: int, grazing: tuple[float, ...]) -> Iterator[tuple[str, float]]:
+    """Difference of a rendered wavelength's first harmonic, over its mean, from ray tracing's."""
+    turn = np.exp(2j * np.pi * (np.arange(BINS) + 0.5) / BINS)
+    for degrees in grazing:
+        reach = ALTITUDE / np.tan(np.radians(degrees))
+        for steepness in (1e-4, 1e-2, 0.1, 0.3, 1.0):
+            height = steepness / (2 * np.pi * WAVE)
+            for law in CORNERS if count > 100 else CORNERS[-2:]:
+                where = geometry(WAVE, reach, ALTITUDE)
+                (pulse,), _ = pulses_of(ripple(height, law), empty(reach, ALTITUDE, BINS), where)
+                exact = ray_traced(height, law, reach, 8 * count)
+                first, second = (2 * np.mean(v * turn) / v.mean() for v in (pulse, exact))
+                name = f"grazing {degrees:g} degrees, steepness {steepness:g}, law {law}"
+                yield name, float(abs(first - second))
+
+
+def stage_two(cells: int) -> Iterator[tuple[str, float]]:
+    """How far cells, combined under what their survey tells, lie from the truth, their own sds."""
+    summaries, truths = [], []
+    for seed in range(6):
+        made = coherent_cell(
+            np.random.default_rng([seed, 77]),
+            frequency=0.8 + 0.05 * seed,
+            height=0.03 + 0.008 * seed,
+            near=12.0 + 2 * seed,
+        )
+        summaries.append(summarise(estimate(made.clip, RippleSettings(), rng=seed)))
+        truths.append((made.frequency, made.height))
+    survey = [[summaries[i % len(summaries)]] for i in range(cells)]
+    settings = RippleSettings()
+    for i, fused in enumerate(fuse_cells(survey, settings, learn_survey(survey, settings))):
+        final, truth = fused.final, truths[i % len(truths)]
+        off = np.abs(np.array(final.mean) - truth) / np.array(final.sd)
+        yield f"{cells} cells, number {i}", float(off.max())
+
+
+def surveys(count: int) -> Iterator[tuple[str, float]]:
+    """Stage 2 with one cell and with many."""
+    yield from stage_two(1)
+    yield from stage_two(10_000 if count > 100 else 40)
+
+
+def textures(count: int) -> Iterator[tuple[str, float]]:
+    """Share of pixels in a wrong class: one sediment, two, and textures of any length."""
+    size = 512 if count > 100 else 256
+    for length in (1, 1000):
+        for sediments in (1, 2):
+            rng = np.random.default_rng(length + sediments)
+            field = rng.normal(size=(size, size))
+            if length > 1:
+                field = gaussian_filter(field, length, mode="wrap", truncate=2)
+            gamma = gammaincinv(4.0, ndtr((field - field.mean()) / field.std())) / 4.0
+            if length > 1:  # what one scene shows of so long a texture: a slope
+                gamma = 1 + 0.05 * (gamma - 1)
+            truth = (np.indices(field.shape)[1] > size / 2).astype(int) * (sediments - 1)
+            amplitude = np.sqrt(gamma * np.where(truth, 4.0, 1.0)) * rng.rayleigh(1, field.shape)
+            looks = [AmplitudeGrid(amplitude, np.full(field.shape, 10.0))]
+            classes = find_classes(looks)
+            label = class_map(log_likelihoods(looks, classes)).label
+            share = np.zeros((label.max() + 1, 2))
+            np.add.at(share, (label.ravel(), truth.ravel()), 1 / label.size)
+            yield f"{length} pixels, {sediments} sediments", float(1 - share.max(axis=0).sum())
+
+
 def boundaries(count: int) -> Iterator[tuple[str, float]]:
     """Distance of a straight boundary from the truth, pixels, over contrasts."""
     for power in (-2, 0, 3, 6, 9):
@@ -224,12 +351,19 @@ STUDIES: dict[str, tuple[Callable[[int], Iterator[tuple[str, float]]], str, floa
     "limits of K and generalised K (nats)": (limits, "nu to 1e10, kappa to 0", 1e-6),
     "maximum likelihood under scaling (relative, in nu)": (scaled_fits, "1e-140 to 1e140", 1e-3),
     "density of a Gaussian (of max(1, |log p|))": (conditions, "condition 1e2 to 1e12", 1e-3),
-    "product of Gaussians (mean, in narrower sds)": (products, "widths 1 to 1e6 apart", 1e-9),
+    "two looks combined (mean of f, in narrower sds)": (products, "widths 1 to 1e6 apart", 1.0),
     "posterior sd under sharp and wide priors (relative)": (
         separations, "scales 1 to 1e6 apart, either way", 0.2),
     "R-hat and ESS under shifts": (convergence, "1 to 1e10 sds", 1e-3),
     "crest rule within line of sight (share)": (shadows, "grazing 0.01 to 80 degrees", 1e-3),
     "scattering amplitude (share not finite)": (amplitudes, "grazing 0 to 90 degrees", 0.0),
+    "rendered wavelength (first harmonic over mean)": (
+        rendered, "grazing 1 to 60 degrees, layover, steepness 1e-4 to 1, any law", 0.05),
+    "the same nearly below the sonar": (
+        rendered_near, "grazing 80 degrees, steepness 1e-4 to 1, any law", 0.05),
+    "stage 2 (f and A_H from the truth, sds)": (surveys, "1 cell and 10 000", 4.0),
+    "texture (share of pixels in a wrong class)": (
+        textures, "1 and 1000 pixels long, one sediment and two", 0.02),
     "boundary by nodes (px)": (boundaries, "contrast 0.01 to 1e9 nats a pixel", 0.6),
     "distance from the track (m)": (tracks, "2 to 100 000 pings, to 9e6 m from the origin", 1e-6),
 }  # fmt: skip
