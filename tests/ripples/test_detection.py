@@ -5,9 +5,9 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.detection import Unclear, Wave, find_waves
 from sasmap.ripples.estimation import second_system
+from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import as_image
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.spectra import flattened
 from sasmap.ripples.summary import summarise
 from tests.helpers import clip_of
 
@@ -202,7 +202,7 @@ def test_a_second_system_is_estimated_and_does_not_spoil_the_first():
 
 
 def a_wave(vector, whole=True):
-    return Wave(np.array(vector), 5.0, 4.0, 1.0, whole)
+    return Wave(np.array(vector), 5.0, 1.0, whole)
 
 
 def test_bends_parts_and_overtones_are_no_second_system():

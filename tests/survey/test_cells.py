@@ -22,7 +22,7 @@ def test_grid_starts_at_the_upper_left_of_all_tiles(tmp_path):
 
 
 def test_every_point_lies_in_one_cell():
-    grid = CellGrid(WKT, 500000.0, 3300000.0, 12.5, 4, 5)
+    grid = CellGrid(WKT, 500000.0, 3300000.0, 12.5, 4, 5, 12.5)
     rng = np.random.default_rng(1)
     x = 500000 + np.concatenate([rng.uniform(0, 62.5, 500), 12.5 * np.arange(5)])
     y = 3300000 - np.concatenate([rng.uniform(0, 50, 500), 12.5 * np.arange(4), [3.0]])
@@ -56,7 +56,7 @@ def test_utm_is_accepted():
 
 def test_tiles_meet_the_cells_they_overlap(tmp_path):
     tile = inspect_tile(write_tile(tmp_path / "b.tif", RAMP, NORTH_UP))
-    grid = CellGrid(tile.lattice.crs, 499997.0, 3300003.0, 5.0, 4, 6)
+    grid = CellGrid(tile.lattice.crs, 499997.0, 3300003.0, 5.0, 4, 6, 5.0)
     # the tile is 10 m x 6 m from (500000, 3300000) down
     assert {tuple(c) for c in grid.met_by(tile, 0.0)} == {(r, c) for r in (0, 1) for c in (0, 1, 2)}
     assert len(set(grid.met_by(tile, 2.5))) > 6
