@@ -20,7 +20,7 @@ from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import box_sums
 from sasmap.ripples.places import contrast_of, extents, lines_of, objectness
-from sasmap.ripples.spectra import MIN_PIXELS, MIN_WAVES, Peak, clip_peaks, taper
+from sasmap.ripples.spectra import MIN_PIXELS, MIN_WAVES, Peak, clip_peaks, other_peaks, taper
 
 FloatArray = NDArray[np.float64]
 
@@ -35,6 +35,8 @@ PRIOR, PART_TRIALS = 14.5, 1.5
 STRENGTH, STRONG, WIDE, MANY = 7.0, (0.22, 0.45), (2.5, 2.7), (-12.0, -9.0)
 # Excess kurtosis of a profile across crests that lines have at least, and nats for each.
 MAX_KURTOSIS, PER_KURTOSIS = 0.6, 6.0
+# Log odds against a second system of waves where there is one: about one rippled clip in twenty.
+SECOND = 3.0
 # Nats of a wave that does not look like a thing on the floor at all.
 OBJECT = 12.0
 # Wavelengths along its normal that a wave must extend over; share of those that the place holds
@@ -138,11 +140,28 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     seen = list(compress(peaks, across))[:CANDIDATES]
     along = [p for p, good in zip(peaks, across, strict=True) if not good]
     waves = sorted((_wave(image, flat, p) for p in seen), key=lambda w: -w.evidence)
+    if waves and waves[0].evidence > 0:
+        waves += _beside(image, flat, waves, bounds)
     unclear = None
     if not waves or waves[0].evidence < 0:
         hidden = any(_wave(image, flat, p).evidence > SURE for p in along[:CANDIDATES])
         unclear = _unclear(image, flat, gains, hidden, bounds)
     return Found(waves, unclear)
+
+
+def _beside(
+    image: Image, flat: FloatArray, waves: list[Wave], bounds: tuple[float, float]
+) -> list[Wave]:
+    """Waves of another system, beside the strongest of those that are there."""
+    first = max((w for w in waves if w.evidence > 0), key=lambda w: w.energy)
+    others = other_peaks(flat, image.valid, image.per_pixel(first.vector))
+    told = (
+        _wave(image, flat, p)
+        for p in others[:CANDIDATES]
+        if _within(image, p, bounds) and _along_look(image, p) > MIN_ALONG
+    )
+    rarer = (w._replace(evidence=w.evidence - SECOND) for w in told)
+    return [w for w in rarer if w.evidence > 0]
 
 
 def _within(image: Image, peak: Peak, bounds: tuple[float, float]) -> bool:

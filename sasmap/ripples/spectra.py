@@ -32,6 +32,8 @@ DIRECTIONS, OCTAVE = 15, 4
 # Directions from a peak on (of 12 degrees) and cells of wavelength (quarter octaves) that tell what
 # power is there without it: beyond the reach of a peak whose crests fork every few wavelengths.
 ASIDE, LONGER, SHORTER = 4, (4, 7), (-4, -2)
+# Cells of wavelength and of direction that a wave whose crests bend reaches to either side.
+REACH = (2.0, 2.0)
 # Zeros added to a side of the image, over its length, and variance of a bin's power that the taper
 # and they leave: independent bins over bins.
 PADDING, INDEPENDENT = 1.3, 1.5
@@ -132,16 +134,13 @@ class Cells:
         Cell of each bin of the transform, -1 of none.
     count : ndarray (wavelengths, directions)
         Bins.
-    around, aside, longer, shorter : ndarray (wavelengths, directions)
-        Bins that what :class:`Table` says rests on.
+    around : ndarray (wavelengths, directions)
+        Bins of the cells around each, its neighbours' by half.
     """
 
     number: NDArray[np.int32]
     count: FloatArray
     around: FloatArray
-    aside: FloatArray
-    longer: FloatArray
-    shorter: FloatArray
 
 
 @lru_cache(maxsize=16)
@@ -158,15 +157,7 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
     cell = np.where(used, number * DIRECTIONS + direction, -1).astype(np.int32)
     counted = np.bincount(cell[used], minlength=lengths * DIRECTIONS)
     count = counted.reshape(lengths, DIRECTIONS).astype(float)
-    near = count @ _ring(_NEAR)
-    return Cells(
-        cell,
-        count,
-        _ladder(lengths, _SOFT) @ count @ _ring(_SOFT),
-        count @ _ring(_ASIDE),
-        _ladder(lengths, _all(*LONGER)) @ near,
-        _ladder(lengths, _all(*SHORTER)) @ near,
-    )
+    return Cells(cell, count, _ladder(lengths, _SOFT) @ count @ _ring(_SOFT))
 
 
 def _transform(flat: FloatArray, valid: BoolArray, full: tuple[int, int]) -> NDArray[np.complex64]:
@@ -195,27 +186,54 @@ def _cell_sums(spectrum, cell, cells):  # type: ignore[no-untyped-def]
     return power, total, highest
 
 
-def _table(flat: FloatArray, valid: BoolArray, parts: list[Part]) -> Table:
-    """Transform parts of a clip, all of one shape, and sum their power over cells."""
+def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
+    """1 at the cells (wavelengths, directions) out of reach of a known wave, 0 at others."""
+    length = np.log2(1 / (float(np.hypot(*known)) * MIN_PIXELS)) * OCTAVE
+    turn = np.arctan2(known[1], known[0]) / np.pi * DIRECTIONS
+    direction = np.abs((np.arange(shape[1]) - turn + DIRECTIONS / 2) % DIRECTIONS - DIRECTIONS / 2)
+    reached = np.abs(np.arange(shape[0])[:, None] - length) <= REACH[0]
+    return np.asarray(1.0 - (reached & (direction <= REACH[1])))
+
+
+def _table(
+    flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
+) -> Table:
+    """Transform parts of a clip, all of one shape, and sum their power over cells.
+
+    What is within reach of a known wave (cycles a column and a row) is left out.
+    """
     shape = flat[parts[0]].shape[0], flat[parts[0]].shape[1]
     rows, columns = (next_fast_len(int(PADDING * n), True) for n in shape)
     cells = _cells(shape, (rows, columns))
     spectra = (_transform(flat[part], valid[part], (rows, columns)) for part in parts)
-    power, *sums = zip(
-        *(_cell_sums(v, cells.number, cells.count.size) for v in spectra), strict=True
-    )
-    total, highest = (np.reshape(v, (len(parts), *cells.count.shape)) for v in sums)
+    summed = [_cell_sums(v, cells.number, cells.count.size) for v in spectra]
+    power = [v[0] for v in summed]
+    shown = len(parts), *cells.count.shape
+    total, highest = (np.reshape([v[k] for v in summed], shown) for k in (1, 2))
     lengths = len(cells.count)
-    near, soft = total @ _ring(_NEAR), _ladder(lengths, _SOFT)
-    bins = cells.around * (shape[0] * shape[1] / (rows * columns * INDEPENDENT))
+    soft = _ladder(lengths, _SOFT)
+    count, around = cells.count, cells.around
+    if known is not None:
+        beside = _apart(count.shape, known)
+        count, total, highest = (v * beside for v in (count, total, highest))
+        around = soft @ count @ _ring(_SOFT)
+        power = [v * beside.ravel()[cells.number].astype(np.float32) for v in power]
+    bins = around * (shape[0] * shape[1] / (rows * columns * INDEPENDENT))
+    level = _mean(soft @ total @ _ring(_SOFT), around)
+    aside = _mean(total @ _ring(_ASIDE), count @ _ring(_ASIDE))
+    near, near_count = total @ _ring(_NEAR), count @ _ring(_NEAR)
+    longer, shorter = (
+        _mean(_ladder(lengths, steps) @ near, _ladder(lengths, steps) @ near_count)
+        for steps in (_all(*LONGER), _all(*SHORTER))
+    )
     return Table(
-        _mean(soft @ total @ _ring(_SOFT), cells.around),
+        level,
         np.broadcast_to(bins, total.shape),
-        _mean(total @ _ring(_ASIDE), cells.aside),
-        _mean(_ladder(lengths, _all(*LONGER)) @ near, cells.longer),
-        _mean(_ladder(lengths, _all(*SHORTER)) @ near, cells.shorter),
+        aside,
+        longer if known is None else np.where(longer > 0, longer, aside),
+        shorter,
         _highest_around(highest),
-        list(power),
+        power,
         (rows, columns),
     )
 
@@ -281,9 +299,11 @@ def _evidence(table: Table) -> FloatArray:
     return np.asarray(np.maximum(broad, narrow - LINE_TRIALS))
 
 
-def _peaks(flat: FloatArray, valid: BoolArray, parts: list[Part]) -> Iterator[list[Peak]]:
+def _peaks(
+    flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
+) -> Iterator[list[Peak]]:
     """Find peaks of the spectra of parts of a clip, all of one shape, the likeliest first."""
-    table = _table(flat, valid, parts)
+    table = _table(flat, valid, parts, known)
     evidence = _evidence(table)
     lengths, directions = table.level.shape[1:]
     rows, columns = flat[parts[0]].shape
@@ -375,3 +395,37 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
     return [
         peak for parts in groups.values() for found in _peaks(flat, valid, parts) for peak in found
     ]
+
+
+def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[Peak]:
+    """Find the peaks of a clip's spectrum beside a wave that it is known to have.
+
+    What two systems of waves have hides each from a comparison with other directions and lengths.
+
+    Parameters
+    ----------
+    flat : ndarray (rows, columns)
+        Amplitude over its trend, less 1; 0 where not valid.
+    valid : ndarray of bool (rows, columns)
+    known : ndarray (2,)
+        Cycles a column and a row.
+
+    Returns
+    -------
+    list of Peak
+        The likeliest first, none within reach of the known wave.
+    """
+    whole = slice(0, flat.shape[0]), slice(0, flat.shape[1])
+    if valid.mean() < MIN_VALID:
+        return []
+    found = next(_peaks(flat, valid, [whole], known))
+    return [peak for peak in found if not _within_reach(peak.per_pixel, known)]
+
+
+def _within_reach(one: FloatArray, other: FloatArray) -> bool:
+    """Whether a wave may be another one whose crests bend."""
+    lengths = float(np.hypot(*one)), float(np.hypot(*other))
+    cosine = min(abs(float(one @ other)) / (lengths[0] * lengths[1]), 1.0)
+    steps = abs(np.log2(lengths[0] / lengths[1])) * OCTAVE
+    turn = np.arccos(cosine) / np.pi * DIRECTIONS
+    return bool(steps <= REACH[0] and turn <= REACH[1])
