@@ -20,7 +20,15 @@ from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import box_sums
 from sasmap.ripples.places import contrast_of, extents, lines_of, objectness
-from sasmap.ripples.spectra import MIN_PIXELS, MIN_WAVES, Peak, clip_peaks, other_peaks, taper
+from sasmap.ripples.spectra import (
+    MIN_PIXELS,
+    MIN_WAVES,
+    Peak,
+    clip_peaks,
+    other_peaks,
+    taper,
+    within_reach,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -139,7 +147,7 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     across = [_along_look(image, p) > MIN_ALONG for p in peaks]
     seen = list(compress(peaks, across))[:CANDIDATES]
     along = [p for p, good in zip(peaks, across, strict=True) if not good]
-    waves = sorted((_wave(image, flat, p) for p in seen), key=lambda w: -w.evidence)
+    waves = _judged(image, flat, seen)
     if waves and waves[0].evidence > 0:
         waves += _beside(image, flat, waves, bounds)
     unclear = None
@@ -147,6 +155,24 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
         hidden = any(_wave(image, flat, p).evidence > SURE for p in along[:CANDIDATES])
         unclear = _unclear(image, flat, gains, hidden, bounds)
     return Found(waves, unclear)
+
+
+def _judged(image: Image, flat: FloatArray, peaks: list[Peak]) -> list[Wave]:
+    """Judge peaks, the likeliest ripple first; of a wave that the whole shows no part says more."""
+    waves: list[Wave] = []
+    there: list[Peak] = []
+    for peak in sorted(peaks, key=lambda p: not _whole(p, flat)):
+        part = not _whole(peak, flat)
+        if part and any(within_reach(peak.per_pixel, p.per_pixel) for p in there):
+            continue
+        waves.append(_wave(image, flat, peak))
+        if not part and waves[-1].evidence > SURE:
+            there.append(peak)
+    return sorted(waves, key=lambda w: -w.evidence)
+
+
+def _whole(peak: Peak, flat: FloatArray) -> bool:
+    return peak.part == (slice(0, flat.shape[0]), slice(0, flat.shape[1]))
 
 
 def _beside(
@@ -179,7 +205,7 @@ def _along_look(image: Image, peak: Peak) -> float:
 
 def _wave(image: Image, flat: FloatArray, peak: Peak) -> Wave:
     """Judge a peak by where it lies in the clip: the rival that explains it best decides."""
-    whole = peak.part == (slice(0, flat.shape[0]), slice(0, flat.shape[1]))
+    whole = _whole(peak, flat)
     places = np.ascontiguousarray(flat[peak.part]), np.ascontiguousarray(image.valid[peak.part])
     evidence = np.inf
     for rival in _rivals(image, flat, places, peak, whole):

@@ -419,11 +419,21 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
     if valid.mean() < MIN_VALID:
         return []
     found = next(_peaks(flat, valid, [whole], known))
-    return [peak for peak in found if not _within_reach(peak.per_pixel, known)]
+    return [peak for peak in found if not within_reach(peak.per_pixel, known)]
 
 
-def _within_reach(one: FloatArray, other: FloatArray) -> bool:
-    """Whether a wave may be another one whose crests bend."""
+def within_reach(one: FloatArray, other: FloatArray) -> bool:
+    """Whether a wave may be another one whose crests bend.
+
+    Parameters
+    ----------
+    one, other : ndarray (2,)
+        Cycles a column and a row.
+
+    Returns
+    -------
+    bool
+    """
     lengths = float(np.hypot(*one)), float(np.hypot(*other))
     cosine = min(abs(float(one @ other)) / (lengths[0] * lengths[1]), 1.0)
     steps = abs(np.log2(lengths[0] / lengths[1])) * OCTAVE
