@@ -36,13 +36,16 @@ CANDIDATES = 6
 # Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
 MIN_ALONG = 0.07
 # Log prior odds against a ripple, trials of a clip's cells included, and of its parts.
-PRIOR, PART_TRIALS = 14.5, 1.5
+PRIOR, PART_TRIALS = 15.0, 1.5
 # Strong waves of several lengths are rarely anything else: nats that a contrast (from, to) of an
 # extent (from, to) is worth. Of more lengths (less, from and to), the spectrum itself tells enough,
 # and speckle has as much contrast where its grain is as long as a wave.
-STRENGTH, STRONG, WIDE, MANY = 7.0, (0.22, 0.45), (2.5, 2.7), (-12.0, -9.0)
+STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
+# Less the excess kurtosis (from, to) at which strength counts for nothing, and fully: grain and
+# marks have pointed profiles.
+ROUND = (-0.4, 0.0)
 # Excess kurtosis of a profile across crests that lines have at least, and nats for each.
-MAX_KURTOSIS, PER_KURTOSIS = 0.6, 6.0
+MAX_KURTOSIS, PER_KURTOSIS = 0.5, 6.0
 # Log odds against a second system of waves where there is one: about one rippled clip in twenty.
 SECOND = 3.0
 # Nats of a wave that does not look like a thing on the floor at all.
@@ -150,6 +153,8 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     waves = _judged(image, flat, seen)
     if waves and waves[0].evidence > 0:
         waves += _beside(image, flat, waves, bounds)
+    elif seen:
+        waves = _crossing(image, flat, seen, bounds) + waves
     unclear = None
     if not waves or waves[0].evidence < 0:
         hidden = any(_wave(image, flat, p).evidence > SURE for p in along[:CANDIDATES])
@@ -180,14 +185,37 @@ def _beside(
 ) -> list[Wave]:
     """Waves of another system, beside the strongest of those that are there."""
     first = max((w for w in waves if w.evidence > 0), key=lambda w: w.energy)
-    others = other_peaks(flat, image.valid, image.per_pixel(first.vector))
+    return _given(image, flat, image.per_pixel(first.vector), bounds)
+
+
+def _given(
+    image: Image, flat: FloatArray, known: FloatArray, bounds: tuple[float, float]
+) -> list[Wave]:
+    """Waves that are there, given one (cycles a column and a row) of another system."""
     told = (
         _wave(image, flat, p)
-        for p in others[:CANDIDATES]
+        for p in other_peaks(flat, image.valid, known)[:CANDIDATES]
         if _within(image, p, bounds) and _along_look(image, p) > MIN_ALONG
     )
     rarer = (w._replace(evidence=w.evidence - SECOND) for w in told)
-    return [w for w in rarer if w.evidence > 0]
+    return sorted((w for w in rarer if w.evidence > 0), key=lambda w: -w.evidence)
+
+
+def _crossing(
+    image: Image, flat: FloatArray, peaks: list[Peak], bounds: tuple[float, float]
+) -> list[Wave]:
+    """Two systems of which neither is found by itself, each beside the other; none or both."""
+    whole = next((p.per_pixel for p in peaks if _whole(p, flat)), None)
+    others = [] if whole is None else _given(image, flat, whole, bounds)
+    if whole is None or not others:
+        return []
+    known = image.per_pixel(others[0].vector)
+    first = [
+        w
+        for w in _given(image, flat, known, bounds)
+        if within_reach(image.per_pixel(w.vector), whole)
+    ]
+    return sorted([*first[:1], others[0]], key=lambda w: -w.evidence) if first else []
 
 
 def _within(image: Image, peak: Peak, bounds: tuple[float, float]) -> bool:
@@ -228,13 +256,16 @@ def _rivals(
     told = peak.evidence - PRIOR - (0.0 if whole else PART_TRIALS)
     yield told + strong
     here = extents(*places, peak.per_pixel)
-    yield told + strong * _ramp(here.normal, *WIDE)
+    strong *= _ramp(here.normal, *WIDE)
+    yield told + strong
+    lines = lines_of(*places, peak.per_pixel)
+    yield told + strong * _ramp(-lines, *ROUND)
+    yield PER_KURTOSIS * (MAX_KURTOSIS - lines)
     least = MIN_EXTENT + OF_MORE * float(np.clip(peak.waves - MIN_EXTENT * 2, 0, 5))
     yield PER_WAVE * (here.normal - least)
     there = here if whole else extents(flat, image.valid, peak.per_pixel)
     across = OF_CRESTS * there.crests * min(there.room, 1.0)
     yield PER_WAVE * (there.normal - min(across, ENOUGH))
-    yield PER_KURTOSIS * (MAX_KURTOSIS - lines_of(*places, peak.per_pixel))
     yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel))
 
 
