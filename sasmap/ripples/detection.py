@@ -36,18 +36,21 @@ CANDIDATES = 6
 # Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
 MIN_ALONG = 0.07
 # Log prior odds against a ripple, trials of a clip's cells included, and of its parts.
-PRIOR, PART_TRIALS = 15.0, 1.5
+PRIOR, PART_TRIALS = 16.0, 1.5
 # Strong waves of several lengths are rarely anything else: nats that a contrast (from, to) of an
 # extent (from, to) is worth. Of more lengths (less, from and to), the spectrum itself tells enough,
 # and speckle has as much contrast where its grain is as long as a wave.
-STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
+STRENGTH, STRONG, WIDE, MANY = 10.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
 # Less the excess kurtosis (from, to) at which strength counts for nothing, and fully: grain and
 # marks have pointed profiles.
-ROUND = (-0.4, 0.0)
+ROUND = (-0.3, 0.0)
 # Excess kurtosis of a profile across crests that lines have at least, and nats for each.
 MAX_KURTOSIS, PER_KURTOSIS = 0.5, 6.0
 # Log odds against a second system of waves where there is one: about one rippled clip in twenty.
 SECOND = 3.0
+# Cosine of the angle between waves of one direction, and departure of their ratio from 2 within
+# which the shorter may be the longer one's overtone: where crests bend and fork it is broad.
+SAME, NEARLY_TWICE = 0.95, 0.3
 # Nats of a wave that does not look like a thing on the floor at all.
 OBJECT = 12.0
 # Wavelengths along its normal that a wave must extend over; share of those that the place holds
@@ -195,10 +198,19 @@ def _given(
     told = (
         _wave(image, flat, p)
         for p in other_peaks(flat, image.valid, known)[:CANDIDATES]
-        if _within(image, p, bounds) and _along_look(image, p) > MIN_ALONG
+        if _within(image, p, bounds)
+        and _along_look(image, p) > MIN_ALONG
+        and not _overtone(p.per_pixel, known)
     )
     rarer = (w._replace(evidence=w.evidence - SECOND) for w in told)
     return sorted((w for w in rarer if w.evidence > 0), key=lambda w: -w.evidence)
+
+
+def _overtone(one: FloatArray, other: FloatArray) -> bool:
+    """Whether a wave is about half or twice as long as another one of the same direction."""
+    lengths = sorted((float(np.hypot(*one)), float(np.hypot(*other))))
+    along = abs(float(one @ other)) > SAME * lengths[0] * lengths[1]
+    return along and abs(lengths[1] / lengths[0] - 2) < NEARLY_TWICE
 
 
 def _crossing(
