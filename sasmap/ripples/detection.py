@@ -62,8 +62,8 @@ MIN_EXTENT, OF_MORE, PER_WAVE = 2.5, 0.1, 10.0
 OF_CRESTS, ENOUGH = 0.7, 5.0
 # Evidence below which no more is asked: one in four hundred.
 HOPELESS = -6.0
-# Evidence for a wave looked at along its crests from which it is remarked; contrast of pings' gains
-# and share of their variance that say the same.
+# Evidence from which a wave is taken for sure; of one looked at along its crests, which is then
+# remarked, contrast of pings' gains and share of their variance that say the same.
 SURE, ALONG_CONTRAST, ALONG_SHARE = 3.0, 0.1, 0.5
 # A wave too long to be told: least wavelengths a clip, contrast, bins that it spreads over, and
 # share of the clip's variance, and share of them that it has to extend over.
@@ -216,7 +216,7 @@ def _overtone(one: FloatArray, other: FloatArray) -> bool:
 def _crossing(
     image: Image, flat: FloatArray, peaks: list[Peak], bounds: tuple[float, float]
 ) -> list[Wave]:
-    """Two systems of which neither is found by itself, each beside the other; none or both."""
+    """Two systems of which neither is found by itself, each for sure beside the other, or none."""
     whole = next((p.per_pixel for p in peaks if _whole(p, flat)), None)
     others = [] if whole is None else _given(image, flat, whole, bounds)
     if whole is None or not others:
@@ -227,7 +227,8 @@ def _crossing(
         for w in _given(image, flat, known, bounds)
         if within_reach(image.per_pixel(w.vector), whole)
     ]
-    return sorted([*first[:1], others[0]], key=lambda w: -w.evidence) if first else []
+    both = sorted([*first[:1], others[0]], key=lambda w: -w.evidence)
+    return both if first and both[-1].evidence > SURE else []
 
 
 def _within(image: Image, peak: Peak, bounds: tuple[float, float]) -> bool:
