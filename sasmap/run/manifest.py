@@ -62,6 +62,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
             "rows": plan.opened.grid.rows,
             "columns": plan.opened.grid.columns,
             "cell_size_m": plan.opened.grid.size,
+            **({"cell_spacing_m": plan.opened.grid.spacing} if plan.overlaps else {}),
             "crs": crs_name(plan.opened.grid.crs),
         },
         "cells_by_quality": outcome.counts(),

@@ -154,8 +154,10 @@ def _passes(plan: Plan) -> Iterator[dict[str, Any]]:
 def _grid(plan: Plan) -> str:
     grid = plan.opened.grid
     rows, columns = _count(grid.rows, "row"), _count(grid.columns, "column")
+    apart = f", every {grid.spacing:g} m" if plan.overlaps else ""
     return (
-        f"{rows} and {columns} of cells of {grid.size:g} m, {plan.settings.window} pixels a side; "
+        f"{rows} and {columns} of cells of {grid.size:g} m{apart}, {plan.settings.window} pixels a "
+        "side; "
         f"{len(plan.cells)} of them meet a tile."
     )
 

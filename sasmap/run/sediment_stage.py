@@ -179,7 +179,7 @@ class _Reader:
 
     def __init__(self, plan: Plan, store: Store, outcome: Outcome) -> None:
         self._context = Context(plan, store)
-        self._keys = outcome.keys
+        self._keys = {} if plan.overlapping else outcome.keys  # of other pixels than the map's
         self._lock = Lock()
         self.faults: dict[tuple[int, int, int], str] = {}
 

@@ -126,7 +126,7 @@ def _finished(
         if posterior.rippled is not None:
             arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
             arrays["reference"] = np.array(posterior.reference)
-    if plan.settings.sediments is not None and pixels is not None:
+    if plan.settings.sediments is not None and pixels is not None and not plan.overlaps:
         amplitude, cotangent = _floor(plan, cell, pixels)
         arrays |= {"amplitude": amplitude, "cotangent": cotangent}
     if arrays:
@@ -280,22 +280,17 @@ def clip_of(
     if window == 1:
         tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
         return read_clip(look.sonar_pass, grid, cell, side, tiles)
-    before = 0.5 * (window - 1)
-    square = CellGrid(
-        grid.crs,
-        grid.left + (cell.column - before) * grid.size,
-        grid.top - (cell.row - before) * grid.size,
-        window * grid.size,
-        1,
-        1,
-    )
+    left, _, _, top = grid.bounds(cell)
+    before, size = 0.5 * (window - 1) * grid.size, window * grid.size
+    square = CellGrid(grid.crs, left - before, top + before, size, 1, 1, size)
     return read_clip(look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look))
 
 
 def tiles_around(plan: Plan, cell: Cell, look: Swath) -> tuple[Tile, ...]:
-    """Tiles of a look's pass that show a cell or those around it, each once."""
-    met = plan.tiles[look.sonar_pass.name]
-    steps = (-1, 0, 1)
+    """Tiles of a look's pass that show a cell or what lies half a cell around it, each once."""
+    met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
+    reach = int(np.ceil(0.5 * (WIDER - 1) * grid.size / grid.spacing - 1e-9))
+    steps = range(-reach, reach + 1)
     cells = [Cell(cell.row + r, cell.column + c) for r in steps for c in steps]
     found = {tile.path: tile for one in cells for tile in met.get(one, ())}
     return tuple(found[path] for path in sorted(found))
@@ -331,7 +326,7 @@ def _key(plan: Plan, cell: Cell, look: Swath, prior: list[Any]) -> str:
             "code": code_version(),
             "seed": plan.settings.seed,
             "settings": _dumped(plan),
-            "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
+            "grid": [grid.crs, *(repr(v) for v in (grid.left, grid.top, grid.size, grid.spacing))],
             "cell": list(cell),
             "pass": [look.label, look.side, sonar_pass.slant, repr(sonar_pass.altitude_sd)],
             "numbers": [tile.kind for tile in tiles],
