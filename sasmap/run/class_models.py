@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sasmap.errors import InputError, check_file
 from sasmap.io.jsonfile import finite
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.fitting import FAMILIES, Law
-from sasmap.sediments.segmentation import Classes
 from sasmap.sediments.texture import BINS, CHANNELS, WINDOWS, Texture
 
 FORMAT = "sasmap sediment classes 1"

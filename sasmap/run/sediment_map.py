@@ -16,14 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.io.canvas import Canvas
-from sasmap.numerics.threads import mapped
+from sasmap.numerics.threads import Workers, mapped
 from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
+from sasmap.sediments.carrying import carry_over
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
-from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
+from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import MARGIN, SHARED
+from sasmap.sediments.training import train_classes
 
 # Pixels a side of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
@@ -213,7 +216,7 @@ def map_sediments(
     ground: Ground,
     count: int | None,
     known: ClassModel | None,
-    workers: int | None,
+    workers: Workers,
     scratch: Path,
     stack: ExitStack,
     least: float = 0.0,
@@ -228,8 +231,8 @@ def map_sediments(
         Classes; found where None.
     known : ClassModel or None
         Classes with training, or of another survey.
-    workers : int or None
-        Threads.
+    workers : int, None or callable
+        Threads, or what spreads work.
     scratch : Path
         Folder of the rasters in the making.
     stack : ExitStack
@@ -286,7 +289,7 @@ def _without_small(
     label: Canvas,
     least: float,
     result: Canvas,
-    workers: int | None,
+    workers: Workers,
 ) -> Canvas:
     """Give patches of too few pixels to the class that is nearest, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))  # most patches are no longer than twice their root
@@ -300,7 +303,7 @@ def _without_small(
 
 
 def _mark_rippled(
-    surface: Surface, label: Canvas, least: float, result: Canvas, workers: int | None
+    surface: Surface, label: Canvas, least: float, result: Canvas, workers: Workers
 ) -> None:
     """Mark what is rippled of each class, but for patches of too few pixels, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))
@@ -355,7 +358,7 @@ def _classify(
 
 
 def _classes(
-    surface: Surface, count: int | None, known: ClassModel | None, workers: int | None
+    surface: Surface, count: int | None, known: ClassModel | None, workers: Workers
 ) -> Classes | None:
     """Find, take over or learn classes; None where no look shows the floor."""
     looks = surface.slices()

@@ -16,18 +16,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.errors import fault_of
 from sasmap.io.canvas import Canvas
-from sasmap.numerics.threads import mapped
+from sasmap.numerics.threads import Workers, mapped
 from sasmap.run.class_models import ClassModel
 from sasmap.sediments.trends import AmplitudeGrid
 from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
 
 FloatArray = NDArray[np.float64]
-Read = Callable[[int, int, int], tuple[FloatArray, FloatArray] | None]
+Read = Callable[[int, int, int], tuple[FloatArray, FloatArray, FloatArray] | None]
 Part = tuple[slice, slice]
 
 # Pixels a side of the pieces in which ripples are looked for.
-PIECE = 4 * LATTICE
+PIECE = 8 * LATTICE
 
 
 class Ground(NamedTuple):
@@ -41,8 +42,8 @@ class Ground(NamedTuple):
         Pixels a side of a cell.
     looks : int
     read : callable
-        ``read(row, column, look)`` gives amplitude and cotangent of the grazing angle (window,
-        window), or None.
+        ``read(row, column, look)`` gives amplitude, cotangent of the grazing angle and altitude
+        (window, window each), or None. A fault is that of the cell alone.
     """
 
     rows: int
@@ -57,25 +58,43 @@ class Ground(NamedTuple):
         return self.rows * self.window, self.columns * self.window
 
 
+class Fault(NamedTuple):
+    """What could not be read, and why."""
+
+    row: int
+    column: int
+    look: int
+    text: str
+
+
 class Look(NamedTuple):
-    """One look's rasters: amplitude (0 for none), cotangent of grazing, log profile of ripples."""
+    """One look's rasters.
+
+    Attributes
+    ----------
+    amplitude : Canvas
+        0 for none.
+    cotangent, altitude : Canvas
+        Of the grazing angle; m.
+    profile : Canvas
+        Log of what ripples do to the amplitude.
+    """
 
     amplitude: Any
     cotangent: Any
+    altitude: Any
     profile: Any
 
 
 class Slices:
-    """A look's amplitude, ripples taken off, or cotangents: slices are read."""
+    """A look's amplitude, ripples taken off: slices are read."""
 
-    def __init__(self, look: Look, amplitude: bool) -> None:
-        self._look, self._amplitude = look, amplitude
+    def __init__(self, look: Look) -> None:
+        self._look = look
         self.shape: tuple[int, int] = look.amplitude.shape
 
     def __getitem__(self, part: Any) -> FloatArray:
         """Read a slice; NaN where there is no amplitude."""
-        if not self._amplitude:
-            return np.asarray(self._look.cotangent[part], float)
         profile = np.asarray(self._look.profile[part], float)
         return np.asarray(_known(self._look.amplitude[part]) * np.exp(-profile))
 
@@ -91,28 +110,34 @@ class Surface(NamedTuple):
         1 where a look shows ripples.
     marks : Canvas of uint8 or None
         Classes that training shows.
+    faults : list of Fault
+        What could not be read.
     """
 
     shape: tuple[int, int]
     looks: tuple[Look, ...]
     rippled: Any
     marks: Any
+    faults: list[Fault]
 
     def part(self, part: Part) -> list[AmplitudeGrid]:
         """Amplitudes of all looks, ripples taken off; NaN where there is none."""
-        return [AmplitudeGrid(one.amplitude[part], one.cotangent[part]) for one in self.slices()]
+        return [
+            AmplitudeGrid(one.amplitude[part], *(v[part].astype(float) for v in one[1:]))
+            for one in self.slices()
+        ]
 
     def slices(self) -> list[AmplitudeGrid]:
         """All looks, to be read by slices."""
-        return [AmplitudeGrid(*(Slices(k, v) for v in (True, False))) for k in self.looks]
+        return [AmplitudeGrid(Slices(k), k.cotangent, k.altitude) for k in self.looks]
 
-    def shown(self, workers: int | None) -> bool:
+    def shown(self, workers: Workers) -> bool:
         """Whether a look shows a pixel of the floor."""
 
         def one(part: Part) -> bool:
             return any(bool((look.amplitude[part] > 0).any()) for look in self.looks)
 
-        return any(mapped(one, self.blocks(4 * PIECE), workers))
+        return any(mapped(one, self.blocks(2 * PIECE), workers))
 
     @property
     def whole(self) -> Part:
@@ -142,7 +167,7 @@ class Surface(NamedTuple):
 def lay(
     ground: Ground,
     known: ClassModel | None,
-    workers: int | None,
+    workers: Workers,
     scratch: Path,
     stack: ExitStack,
     progress: Callable[[int, int], None] | None = None,
@@ -154,8 +179,8 @@ def lay(
     ground : Ground
     known : ClassModel or None
         Whose marks are laid as well.
-    workers : int or None
-        Threads.
+    workers : int, None or callable
+        Threads, or what spreads work.
     scratch : Path
         Folder of the rasters.
     stack : ExitStack
@@ -175,26 +200,35 @@ def lay(
         Look(
             canvas(f"amplitude{k}", "float32"),
             canvas(f"cotangent{k}", "float16"),
+            canvas(f"altitude{k}", "float16"),
             canvas(f"profile{k}", "float16"),
         )
         for k in range(ground.looks)
     )
     marks = canvas("marks", "uint8") if known is not None and known.marks is not None else None
-    surface = Surface(ground.shape, looks, canvas("rippled", "uint8"), marks)
+    surface = Surface(ground.shape, looks, canvas("rippled", "uint8"), marks, [])
     marked = set(known.cells) if known is not None else set()
 
-    def read(place: tuple[int, int]) -> None:
+    def read(place: tuple[int, int]) -> list[Fault]:
         part = _pixels_of(place, ground.window)
+        faults = []
         for k, look in enumerate(looks):
-            found = ground.read(*place, k)
+            try:
+                found = ground.read(*place, k)
+            except Exception as error:  # one cell's fault must not end the survey
+                faults.append(Fault(*place, k, fault_of(error)))
+                continue
             if found is not None:
                 look.amplitude[part] = np.nan_to_num(found[0])
                 look.cotangent[part] = np.clip(found[1], None, 6e4)
+                look.altitude[part] = np.clip(found[2], None, 6e4)
         if marks is not None and known is not None and known.marks is not None and place in marked:
             marks[part] = known.marks(*place)
+        return faults
 
     every = product(range(ground.rows), range(ground.columns))
-    for done, _ in enumerate(mapped(read, every, workers), 1):
+    for done, faults in enumerate(mapped(read, every, workers), 1):
+        surface.faults.extend(faults)
         if progress is not None:
             progress(done, ground.rows * ground.columns)
     deque(mapped(lambda p: _take_off(surface, p), surface.blocks(PIECE), workers), 0)
@@ -209,16 +243,16 @@ def _take_off(surface: Surface, part: Part) -> None:
         amplitude = _known(look.amplitude[wide])
         if np.isnan(amplitude).all():
             continue
-        waves = find_waves(amplitude)
+        waves = find_waves(amplitude, inner)
         if waves.rippled.any():
-            look.profile[part] = waves.profile[inner]
-            rippled |= waves.rippled[inner]
+            look.profile[part] = waves.profile
+            rippled |= waves.rippled
     if rippled.any():
         surface.rippled[part] = rippled
 
 
-def _known(amplitude: NDArray[np.floating]) -> FloatArray:
-    return np.where(amplitude > 0, amplitude, np.nan).astype(float)
+def _known(amplitude: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.where(amplitude > 0, amplitude, np.float32(np.nan))
 
 
 def _pixels_of(place: tuple[int, int], window: int) -> Part:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.ndimage import label as measure_label
 
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.field import mean_field, table_sums, window_sums
-from sasmap.sediments.segmentation import Classes
 from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
 
@@ -57,7 +57,9 @@ def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.f
     table = np.stack([law.log_density(np.exp(grid)) for law in laws])
     for i, look in enumerate(looks):
         known = np.isfinite(look.amplitude) & (look.amplitude > 0)
-        logs = np.log(look.amplitude[known]) - classes.log_trend(i, look.cotangent[known])
+        altitude = None if look.altitude is None else look.altitude[known]
+        trend = classes.log_trend(i, look.cotangent[known], altitude)
+        logs = np.log(look.amplitude[known]) - trend
         where = np.flatnonzero(known)
         table_sums(logs, where, table, grid[0], float(step), 1 / classes.noise_factor, flat)
         seen |= known
@@ -77,7 +79,7 @@ def _with_texture(
         if not known.any():
             continue
         logs = np.log(np.where(known, look.amplitude, np.nan))
-        logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0))
+        logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0), look.altitude)
         odds = evidence(texture, channels(logs))
         result[: len(classes.laws)] += np.nan_to_num(odds)
         seen += known

@@ -1,0 +1,88 @@
+"""Sediment classes of another survey, taken over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.numerics.threads import Workers
+from sasmap.sediments.classes import Classes, dark_blocks, dark_law, log_moments, noise_factor
+from sasmap.sediments.fitting import Law
+from sasmap.sediments.floor import Flat, gather
+from sasmap.sediments.trends import AmplitudeGrid, Blocks, first_trends, refit, trend_of
+
+FloatArray = NDArray[np.float64]
+
+# By how much this survey's gain may differ (standard deviation of the log amplitude: 3 dB), gains
+# that are tried, rounds of a fit.
+GAIN_SD = 0.35
+GAINS = np.linspace(-1.5, 1.5, 13)
+GAIN_ROUNDS = 10
+# Scatter of blocks' mean and log variance about their class's.
+SCATTER = (0.05, 0.15)
+
+
+def carry_over(
+    looks: Sequence[AmplitudeGrid],
+    laws: Sequence[Law],
+    centre: float,
+    workers: Workers = 1,
+) -> Classes:
+    """Take another survey's classes: find each look's gain and range trend under them.
+
+    Parameters
+    ----------
+    looks : sequence of AmplitudeGrid
+        On one lattice; slices are read.
+    laws : sequence of Law
+    centre : float
+        Log of the cotangent of the grazing angle at which they hold.
+    workers : int, None or callable
+        Threads, or what spreads work.
+
+    Returns
+    -------
+    Classes
+
+    Raises
+    ------
+    ValueError
+        Where no block of any look is known.
+    """
+    blocks, _ = gather(looks, centre, workers)
+    means, spreads = np.array([log_moments(law) for law in laws]).T
+    first = first_trends(blocks)
+    best, best_score = first, -np.inf
+    for gain in GAINS:
+        trends = first + np.array([gain, 0.0, 0.0])
+        for _ in range(GAIN_ROUNDS):
+            groups, _ = _assigned(blocks, trends, means, spreads)
+            trends = refit(blocks, groups, np.nonzero(groups >= 0), first, means, GAIN_SD)
+        _, level = _assigned(blocks, trends, means, spreads)
+        score = level - 0.5 * float(trends[0, 0] / GAIN_SD) ** 2
+        if score > best_score:
+            best, best_score = trends, score
+    factor = noise_factor(looks, blocks)
+    flat = [Flat(look, trend, centre) for look, trend in zip(looks, best, strict=True)]
+    none = dark_law(flat, dark_blocks(blocks, best, laws), factor)
+    return Classes(tuple(laws), best, centre, factor, none)
+
+
+def _assigned(
+    blocks: list[Blocks], trends: FloatArray, means: FloatArray, spreads: FloatArray
+) -> tuple[NDArray[np.int64], float]:
+    """Class of each block, -1 where none is known, and the log likelihood of all."""
+    total = np.zeros((means.size, *blocks[0].mean.shape))
+    seen = np.zeros(blocks[0].mean.shape, bool)
+    for block, trend in zip(blocks, trends, strict=True):
+        known = block.known > 0
+        level = block.mean - trend_of(trend, block.place)
+        error = np.hypot(np.sqrt(block.variance / np.maximum(block.known, 1)), SCATTER[0])
+        spread = np.log(np.maximum(block.variance, 1e-6))
+        for k in range(means.size):
+            z = ((level - means[k]) / error) ** 2 + ((spread - spreads[k]) / SCATTER[1]) ** 2
+            total[k] += np.where(known, -0.5 * z - np.log(error), 0.0)
+        seen |= known
+    return np.where(seen, np.argmax(total, axis=0), -1), float(total.max(axis=0)[seen].sum())
