@@ -127,8 +127,8 @@ def _map(
             found.confidence,
             found.rippled,
             found.lines,
-            found.names,
-            codes,
+            found.every_name,
+            (*codes, "") if found.objects else codes,
             transform,
             grid.crs,
             tags_of(plan),
@@ -139,7 +139,11 @@ def _map(
         outcome.histograms = [one.histogram() for one in drawn]
     _warn(outcome)
     written.append(store.output / "sediment_classes.json")
-    write_text(written[-1], model_text(found.names, codes, found.classes), store.scratch)
+    write_text(
+        written[-1],
+        model_text(found.names, codes, found.classes, found.surface.apart),
+        store.scratch,
+    )
     if not found.surface.faults:
         _keep(store, key, outcome, written)
     return written

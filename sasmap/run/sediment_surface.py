@@ -20,6 +20,7 @@ from sasmap.errors import fault_of
 from sasmap.io.canvas import Canvas
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.run.class_models import ClassModel
+from sasmap.sediments.objects import find_objects
 from sasmap.sediments.trends import AmplitudeGrid
 from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
 
@@ -27,8 +28,10 @@ FloatArray = NDArray[np.float64]
 Read = Callable[[int, int, int], tuple[FloatArray, FloatArray, FloatArray] | None]
 Part = tuple[slice, slice]
 
-# Pixels a side of the pieces in which ripples are looked for.
+# Pixels a side of the pieces in which ripples and objects are looked for.
 PIECE = 8 * LATTICE
+# Share of a class's training that may lie on objects, if these are to be no sediment.
+TAUGHT = 0.05
 
 
 class Ground(NamedTuple):
@@ -78,12 +81,15 @@ class Look(NamedTuple):
         Of the grazing angle; m.
     profile : Canvas
         Log of what ripples do to the amplitude.
+    hidden : Canvas
+        1 for objects, 2 for their shadow.
     """
 
     amplitude: Any
     cotangent: Any
     altitude: Any
     profile: Any
+    hidden: Any
 
 
 class Slices:
@@ -108,22 +114,35 @@ class Surface(NamedTuple):
     looks : tuple of Look
     rippled : Canvas of uint8
         1 where a look shows ripples.
+    objects : Canvas of uint8
+        1 where a look shows an object that is no sediment.
     marks : Canvas of uint8 or None
         Classes that training shows.
     faults : list of Fault
         What could not be read.
+    apart : bool
+        Whether objects were taken out.
     """
 
     shape: tuple[int, int]
     looks: tuple[Look, ...]
     rippled: Any
+    objects: Any
     marks: Any
     faults: list[Fault]
+    apart: bool = False
 
-    def part(self, part: Part) -> list[AmplitudeGrid]:
-        """Amplitudes of all looks, ripples taken off; NaN where there is none."""
+    def part(self, part: Part, ranged: bool) -> list[AmplitudeGrid]:
+        """Amplitudes of all looks, ripples taken off; NaN where there is none.
+
+        Altitudes are read where gain goes by range.
+        """
         return [
-            AmplitudeGrid(one.amplitude[part], *(v[part].astype(float) for v in one[1:]))
+            AmplitudeGrid(
+                one.amplitude[part],
+                one.cotangent[part].astype(float),
+                one.altitude[part].astype(float) if ranged else None,
+            )
             for one in self.slices()
         ]
 
@@ -171,8 +190,9 @@ def lay(
     scratch: Path,
     stack: ExitStack,
     progress: Callable[[int, int], None] | None = None,
+    objects: bool = True,
 ) -> Surface:
-    """Lay a survey's looks on disk and take their ripples off.
+    """Lay a survey's looks on disk and take their ripples, and objects, off.
 
     Parameters
     ----------
@@ -187,6 +207,8 @@ def lay(
         Closes them.
     progress : callable, optional
         Called with the number of cells that have been read and of all.
+    objects : bool
+        Whether objects are looked for.
 
     Returns
     -------
@@ -202,11 +224,14 @@ def lay(
             canvas(f"cotangent{k}", "float16"),
             canvas(f"altitude{k}", "float16"),
             canvas(f"profile{k}", "float16"),
+            canvas(f"hidden{k}", "uint8"),
         )
         for k in range(ground.looks)
     )
     marks = canvas("marks", "uint8") if known is not None and known.marks is not None else None
-    surface = Surface(ground.shape, looks, canvas("rippled", "uint8"), marks, [])
+    surface = Surface(
+        ground.shape, looks, canvas("rippled", "uint8"), canvas("objects", "uint8"), marks, []
+    )
     marked = set(known.cells) if known is not None else set()
 
     def read(place: tuple[int, int]) -> list[Fault]:
@@ -232,7 +257,64 @@ def lay(
         if progress is not None:
             progress(done, ground.rows * ground.columns)
     deque(mapped(lambda p: _take_off(surface, p), surface.blocks(PIECE), workers), 0)
-    return surface
+    return surface._replace(apart=objects and _set_apart(surface, workers))
+
+
+def _set_apart(surface: Surface, workers: Workers) -> bool:
+    """Find objects and take them and their shadow out of the looks; say whether that was done."""
+    pieces = surface.blocks(PIECE)
+    shown = list(mapped(lambda p: _find_objects(surface, p), pieces, workers))
+    total = np.sum([marked for _, marked in shown], axis=0)
+    taught = total[0, 1:] > 0
+    if (total[1, 1:][taught] > TAUGHT * total[0, 1:][taught]).any():
+        return False  # a class that is made of such things was shown: they are sediment here
+    # only now: pieces look at what lies around them
+    there = [piece for piece, (found, _) in zip(pieces, shown, strict=True) if found]
+    deque(mapped(lambda p: _hide(surface, p), there, workers), 0)
+    return True
+
+
+def _find_objects(surface: Surface, part: Part) -> tuple[bool, NDArray[np.int64]]:
+    """Mark objects and shadow of each look in a piece.
+
+    Returns whether there are any, and how many pixels of each class that training shows lie in the
+    piece and on objects (2, 256).
+    """
+    wide, inner = surface.around(part, MARGIN)
+    rippled = surface.rippled[wide] > 0
+    things = np.zeros([s.stop - s.start for s in part], bool)
+    any_shadow = False
+    for look, one in zip(surface.looks, surface.slices(), strict=True):
+        amplitude = one.amplitude[wide]
+        if np.isnan(amplitude).all():
+            continue
+        found = find_objects(amplitude, look.cotangent[wide].astype(np.float32), rippled, inner)
+        if found.object.any():
+            look.hidden[part] = found.object + np.uint8(2) * found.shadow
+            things |= found.object
+            any_shadow |= bool(found.shadow.any())
+        elif found.shadow.any():
+            look.hidden[part] = np.uint8(2) * found.shadow
+            any_shadow = True
+    marked = np.zeros((2, 256), np.int64)
+    if surface.marks is not None:
+        marks = surface.marks[part]
+        marked[:] = [np.bincount(v.ravel(), minlength=256) for v in (marks, marks * things)]
+    return bool(things.any() or any_shadow), marked
+
+
+def _hide(surface: Surface, part: Part) -> None:
+    """Take what is no floor out of a piece of the looks; mark things on the map."""
+    things = np.zeros([s.stop - s.start for s in part], bool)
+    for look in surface.looks:
+        hidden = look.hidden[part]
+        things |= hidden == 1
+        if hidden.any():
+            look.amplitude[part] = np.where(hidden > 0, np.float32(0), look.amplitude[part])
+    for look in surface.looks:  # what stands on the floor hides it from all sides
+        if things.any():
+            look.amplitude[part] = np.where(things, np.float32(0), look.amplitude[part])
+    surface.objects[part] = things
 
 
 def _take_off(surface: Surface, part: Part) -> None:

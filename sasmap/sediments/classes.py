@@ -59,6 +59,11 @@ class Classes:
         """Laws of the classes, and after them that of what is no sediment."""
         return self.laws if self.dark is None else (*self.laws, self.dark)
 
+    @property
+    def ranged(self) -> bool:
+        """Whether gain goes by slant range, so that altitudes are asked for."""
+        return self.bands is not None and self.bands.ranged
+
     def log_trend(
         self, look: int, cotangent: FloatArray, altitude: FloatArray | None = None
     ) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
-from scipy.ndimage import label as measure_label
+from skimage.measure import label as measure_label
 
 from sasmap.sediments.classes import Classes
 from sasmap.sediments.field import mean_field, table_sums, window_sums
@@ -161,21 +161,19 @@ def sieved(
     -------
     ndarray of uint8 (rows, columns)
     """
-    small = np.zeros(label.shape, bool)
-    for k in np.unique(label[label > 0]):
-        parts, _ = measure_label(label == k)
-        few = np.bincount(parts.ravel()) < smallest
-        if not whole:
-            for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
-                few[edge] = False
-        few[0] = False
-        small |= few[parts]
-    if not small.any() or (small | (label == 0)).all():
+    parts = measure_label(label, background=0, connectivity=1)
+    few = np.bincount(parts.ravel()) < smallest
+    if not whole:
+        for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+            few[edge] = False
+    few[0] = False
+    if not few.any():
         return label
-    nearest = distance_transform_edt(
-        small | (label == 0), return_distances=False, return_indices=True
-    )
-    return np.where(small, label[tuple(nearest)], label).astype(np.uint8)
+    lost = few[parts] | (label == 0)
+    if lost.all():
+        return label
+    nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
+    return np.where(label > 0, label[tuple(nearest)], label).astype(np.uint8)
 
 
 def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:

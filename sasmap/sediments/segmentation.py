@@ -38,7 +38,7 @@ EVEN = 3.0
 APART = 0.02
 # Pixels, of all looks, whose texture is described (at most some 250 MB, by blocks) and from which
 # textures are learned; and pixels a side of the tiles they are in where a survey has more of them.
-DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 6_000_000, 256
+DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 3_000_000, 256
 # Gain by range that makes no classes, and that which surely moves them: log amplitude from the
 # least to the greatest (0.4 and 1.7 dB).
 SLIGHT, PLAIN = 0.05, 0.2

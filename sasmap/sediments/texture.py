@@ -223,14 +223,32 @@ def _smoothed(
 ) -> FloatArray:
     """Log ratios of laws over windows at chosen pixels (channels x classes - 1 x windows, n)."""
     known = np.isfinite(found[0])
-    share, every = known.astype(np.float32), bool(known.all())
+    shares = _window_sums(known.astype(np.float32), chosen)
     rows = []
     for c in range(CHANNELS):
         bins = _binned(found[c], low[c], high[c])
         for table in ratio[c, 1:]:
-            values = (table.astype(np.float32)[bins]) * share
-            rows += [_box(values, share, w, every)[chosen] for w in WINDOWS]
+            values = table.astype(np.float32)[bins] * known
+            rows += list(_window_sums(values, chosen) / shares)
     return np.array(rows, np.float64)
+
+
+def _window_sums(values: Single, chosen: tuple[NDArray[np.int64], ...]) -> FloatArray:
+    """Add up all windows about chosen pixels (windows, n), mirrored at the edges."""
+    half = WINDOWS[-1] // 2
+    wide = np.pad(values, half, "symmetric").astype(float)
+    total = np.pad(wide.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = []
+    for window in WINDOWS:
+        first, last = half - window // 2, half + window // 2 + 1
+        rows, columns = ((c + first, c + last) for c in chosen)
+        sums.append(
+            total[rows[1], columns[1]]
+            - total[rows[0], columns[1]]
+            - total[rows[1], columns[0]]
+            + total[rows[0], columns[0]]
+        )
+    return np.array(sums)
 
 
 def _weights(

@@ -77,7 +77,7 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
     """
     inner = inner or (slice(0, amplitude.shape[0]), slice(0, amplitude.shape[1]))
     asked = tuple(slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
-    level, known = _coarse(amplitude)
+    level, known = coarse(amplitude)
     profile, weight, rippled = (np.zeros(level.shape, np.float32) for _ in range(3))
     for size in WINDOWS:
         every = [
@@ -107,7 +107,7 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
     return Waves((0.5 * fine).astype(np.float32), padded[inner])
 
 
-def _coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
+def coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     """Log of the mean intensity of small squares, and the share of them that is known."""
     rows, columns = (n // COARSE * COARSE for n in amplitude.shape)
     shape = rows // COARSE, COARSE, columns // COARSE, COARSE
