@@ -35,6 +35,8 @@ SHARED = 0.3
 STEEP = 0.1
 # Share of what gain by angle leaves unexplained that gain by range must not exceed to be preferred.
 BETTER = 0.97
+# Log gain under its median (9 dB) that a bin has at least.
+LOWEST = 1.0
 # Weight that holds gains at 0 where nothing tells them, of that of one pair.
 RIDGE, ROUNDS = 1e-3, 30
 
@@ -118,6 +120,32 @@ def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
         most = np.maximum(np.append(jump, 0.0), np.append(0.0, jump))
         result |= (block.known > 0) & (np.interp(bands.place(block), place, most) > STEEP)
     return result
+
+
+def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: Bands) -> FloatArray:
+    """Take what follows angle, or range, off other statistics of a look's blocks.
+
+    Noise lies under the floor by range, and resolution goes with it: where gain does, so may they.
+
+    Parameters
+    ----------
+    values : ndarray (block rows, block columns)
+    known : ndarray of bool (block rows, block columns)
+    block : Blocks
+        Of the look.
+    bands : Bands
+        Whether by angle or range.
+
+    Returns
+    -------
+    ndarray (block rows, block columns)
+    """
+    if not known.any():
+        return values
+    place = bands.place(block)
+    at, bins = _binned([block._replace(place=place, known=known.astype(float))])
+    gain = _solved(*_across(bins[0], np.where(known, values, 0.0), known), at.size)
+    return np.asarray(values - np.interp(place, at, gain))
 
 
 def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:
@@ -238,7 +266,7 @@ def _across(
 
 
 def _solved(first: Index, second: Index, change: FloatArray, count: int) -> FloatArray:
-    """Gains of bins that explain differences (first less second), robustly; their mean is 0."""
+    """Gains of bins that explain differences (first less second), robustly; about 0."""
     gain = np.zeros(count)
     if change.size < 2 * count:
         return gain
@@ -253,4 +281,5 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
         right = np.bincount(first, weight * change, minlength=count)
         right -= np.bincount(second, weight * change, minlength=count)
         gain = np.linalg.solve(matrix, right)
-    return np.asarray(gain - gain.mean())
+    # below that it is the water column, not a beam pattern
+    return np.asarray(np.maximum(gain - gain.mean(), np.median(gain - gain.mean()) - LOWEST))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
 from sasmap.numerics.threads import Workers, mapped
-from sasmap.sediments.bands import Bands
+from sasmap.sediments.bands import Bands, evened
 from sasmap.sediments.floor import Flat, Part, around, blocks_in
 from sasmap.sediments.texture import LAGS, MARGIN, SCALES, channels
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN, Blocks, trend_of
@@ -94,13 +94,21 @@ class BlockTexture:
         sums = [_texture_sums(look, shape, chosen, workers) for look in flat]
         return cls(sums, gains, _shown(chosen, shape))
 
-    def under(self, gains: Sequence[FloatArray], dark: NDArray[np.bool_]) -> FloatArray:
+    def under(
+        self,
+        blocks: Sequence[Blocks],
+        trends: FloatArray,
+        bands: Bands | None,
+        dark: NDArray[np.bool_],
+    ) -> FloatArray:
         """Texture of blocks and those around them under a gain.
 
         Parameters
         ----------
-        gains : sequence of ndarray (block rows, block columns)
-            Log gain of each look.
+        blocks : sequence of Blocks
+        trends : ndarray (looks, 3)
+        bands : Bands or None
+            Scatter and differences lose what follows these as well.
         dark : ndarray of bool (block rows, block columns)
             Blocks that are left out, and what they touch.
 
@@ -114,7 +122,8 @@ class BlockTexture:
         total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
         looks = np.zeros(dark.shape)
         near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
-        for taken, before, after in zip(self.sums, self.gains, gains, strict=True):
+        gains = gain_of(blocks, trends, bands)
+        for taken, before, after, block in zip(self.sums, self.gains, gains, blocks, strict=True):
             sums = np.moveaxis(taken.astype(float), -1, 0) * ~dark
             count, levels, squares = sums[0], sums[1 : 1 + split], sums[1 + split : 1 + 2 * split]
             # a gain is even within a block
@@ -130,6 +139,8 @@ class BlockTexture:
                 np.log(np.maximum(squares - levels**2, 1e-6)),
                 np.log(np.maximum(apart, 0) + 1e-6),
             ]
+            if bands is not None:
+                parts[1:] = [[evened(v, enough, block, bands) for v in p] for p in parts[1:]]
             described = np.moveaxis(np.concatenate(parts), 0, -1)
             total += np.where(enough[..., None], described, 0.0)
             looks += enough

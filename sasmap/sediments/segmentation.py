@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sasmap.numerics.threads import Workers
-from sasmap.sediments.bands import Bands, find_bands, steep
+from sasmap.sediments.bands import Bands, evened, find_bands, steep
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, levels, noise_factor
 from sasmap.sediments.description import BlockTexture, gain_of
 from sasmap.sediments.fitting import Law
@@ -71,7 +71,8 @@ class _Survey:
             chosen = _sampled(flat, labels, DESCRIBED)
             gains = gain_of(self.blocks, trends, self.bands)
             self.texture = BlockTexture.of(flat, gains, labels.shape, chosen, self.workers)
-        return self.texture.under(gain_of(self.blocks, trends, bands), dark), self.texture.shown
+        described = self.texture.under(self.blocks, trends, bands, dark)
+        return described, self.texture.shown
 
 
 Dark = NDArray[np.bool_]
@@ -134,8 +135,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     """Group blocks, free of bands of gain, if there are any."""
     blocks = survey.blocks
     if bands is not None:
-        off = gain_of(blocks, np.zeros((len(blocks), 3)), bands)
-        blocks = [b._replace(mean=b.mean - gain) for b, gain in zip(blocks, off, strict=True)]
+        blocks = [_level(b, bands, k) for k, b in enumerate(blocks)]
     first = trends = first_trends(blocks)
     dark = dark_blocks(blocks, trends)
     fewest, most = count or 1, None
@@ -212,6 +212,13 @@ def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int
     whole = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
     whole = whole[: shape[0], : shape[1]]
     return np.pad(whole, [(0, n - m) for n, m in zip(shape, whole.shape, strict=True)])
+
+
+def _level(block: Blocks, bands: Bands, look: int) -> Blocks:
+    """Take bands off a look's blocks, off their level and off how it scatters."""
+    spread = np.log(np.maximum(block.variance, 1e-6))
+    spread = evened(spread, block.known > 0, block, bands)
+    return block._replace(mean=block.mean - bands.of_block(look, block), variance=np.exp(spread))
 
 
 def _features(
