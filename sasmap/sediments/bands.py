@@ -35,8 +35,8 @@ SHARED = 0.3
 STEEP = 0.1
 # Share of what gain by angle leaves unexplained that gain by range must not exceed to be preferred.
 BETTER = 0.97
-# Log gain under its median (9 dB) that a bin has at least.
-LOWEST = 1.0
+# Log gain under its median (14 dB, as of blocks that are no sediment) that a bin has at least.
+LOWEST = 1.6
 # Weight that holds gains at 0 where nothing tells them, of that of one pair.
 RIDGE, ROUNDS = 1e-3, 30
 
@@ -49,7 +49,7 @@ class Bands(NamedTuple):
     places : tuple of ndarray
         Rising log cotangents of the grazing angle, or logs of the slant range.
     gains : tuple of ndarray
-        Log gain at each; linear between.
+        Log gain at each; linear between. NaN where there is no floor: in the water column.
     ranged : bool
         Whether it goes by slant range.
     """
@@ -61,7 +61,7 @@ class Bands(NamedTuple):
     @property
     def span(self) -> float:
         """Log gain from the least to the greatest of a look."""
-        return max(float(np.ptp(g)) for g in self.gains)
+        return max(float(np.nanmax(g) - np.nanmin(g)) for g in self.gains)
 
     def of(
         self, look: int, cotangent: FloatArray, altitude: FloatArray | None = None
@@ -144,7 +144,7 @@ def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: B
         return values
     place = bands.place(block)
     at, bins = _binned([block._replace(place=place, known=known.astype(float))])
-    gain = _solved(*_across(bins[0], np.where(known, values, 0.0), known), at.size)
+    gain = np.nan_to_num(_solved(*_across(bins[0], np.where(known, values, 0.0), known), at.size))
     return np.asarray(values - np.interp(place, at, gain))
 
 
@@ -178,7 +178,7 @@ def _left(blocks: Sequence[Blocks], levels: Sequence[FloatArray], bands: Bands) 
     for k, (block, level) in enumerate(zip(blocks, levels, strict=True)):
         number = np.arange(level.size).reshape(level.shape)
         flat = level - bands.of_block(k, block)
-        found.append(_across(number, flat, block.known > 0)[2])
+        found.append(_across(number, flat, (block.known > 0) & np.isfinite(flat))[2])
     return np.concatenate(found)
 
 
@@ -281,5 +281,6 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
         right = np.bincount(first, weight * change, minlength=count)
         right -= np.bincount(second, weight * change, minlength=count)
         gain = np.linalg.solve(matrix, right)
-    # below that it is the water column, not a beam pattern
-    return np.asarray(np.maximum(gain - gain.mean(), np.median(gain - gain.mean()) - LOWEST))
+    gain -= gain.mean()
+    # so far below it is the water column, not a beam pattern
+    return np.where(gain < np.median(gain) - LOWEST, np.nan, gain)

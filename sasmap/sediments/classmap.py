@@ -60,6 +60,8 @@ def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.f
         altitude = None if look.altitude is None else look.altitude[known]
         trend = classes.log_trend(i, look.cotangent[known], altitude)
         logs = np.log(look.amplitude[known]) - trend
+        floor = np.isfinite(logs)  # gain is not known in the water column
+        logs, known[known] = logs[floor], floor
         where = np.flatnonzero(known)
         table_sums(logs, where, table, grid[0], float(step), 1 / classes.noise_factor, flat)
         seen |= known
@@ -80,6 +82,7 @@ def _with_texture(
             continue
         logs = np.log(np.where(known, look.amplitude, np.nan))
         logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0), look.altitude)
+        known = np.isfinite(logs)
         odds = evidence(texture, channels(logs))
         result[: len(classes.laws)] += np.nan_to_num(odds)
         seen += known

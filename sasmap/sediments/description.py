@@ -42,7 +42,8 @@ def gain_of(blocks: Sequence[Blocks], trends: FloatArray, bands: Bands | None) -
     if bands is None:
         return gains
     return [
-        gain + bands.of_block(k, b) for k, (gain, b) in enumerate(zip(gains, blocks, strict=True))
+        gain + np.nan_to_num(bands.of_block(k, b))
+        for k, (gain, b) in enumerate(zip(gains, blocks, strict=True))
     ]
 
 

@@ -218,7 +218,10 @@ def _level(block: Blocks, bands: Bands, look: int) -> Blocks:
     """Take bands off a look's blocks, off their level and off how it scatters."""
     spread = np.log(np.maximum(block.variance, 1e-6))
     spread = evened(spread, block.known > 0, block, bands)
-    return block._replace(mean=block.mean - bands.of_block(look, block), variance=np.exp(spread))
+    gain = bands.of_block(look, block)
+    there = np.isfinite(gain)
+    mean = np.where(there, block.mean - gain, 0.0)
+    return block._replace(mean=mean, variance=np.exp(spread), known=block.known * there)
 
 
 def _features(
