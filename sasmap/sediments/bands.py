@@ -35,6 +35,8 @@ SHARED = 0.3
 STEEP = 0.1
 # Share of what gain by angle leaves unexplained that gain by range must not exceed to be preferred.
 BETTER = 0.97
+# Gain by range that makes no classes: log amplitude from the least to the greatest (0.4 dB).
+SLIGHT = 0.05
 # Log gain under its median (14 dB, as of blocks that are no sediment) that a bin has at least.
 LOWEST = 1.6
 # Weight that holds gains at 0 where nothing tells them, of that of one pair.
@@ -146,6 +148,28 @@ def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: B
     at, bins = _binned([block._replace(place=place, known=known.astype(float))])
     gain = np.nan_to_num(_solved(*_across(bins[0], np.where(known, values, 0.0), known), at.size))
     return np.asarray(values - np.interp(place, at, gain))
+
+
+def leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
+    """Take bands off a look's blocks, off their level and off how it scatters.
+
+    Parameters
+    ----------
+    block : Blocks
+    bands : Bands
+    look : int
+
+    Returns
+    -------
+    Blocks
+        In the water column nothing is known.
+    """
+    spread = np.log(np.maximum(block.variance, 1e-6))
+    spread = evened(spread, block.known > 0, block, bands)
+    gain = bands.of_block(look, block)
+    there = np.isfinite(gain)
+    mean = np.where(there, block.mean - gain, 0.0)
+    return block._replace(mean=mean, variance=np.exp(spread), known=block.known * there)
 
 
 def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:

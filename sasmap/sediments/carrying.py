@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.threads import Workers
+from sasmap.sediments.bands import SLIGHT, find_bands, leveled
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, log_moments, noise_factor
 from sasmap.sediments.fitting import Law
 from sasmap.sediments.floor import Flat, gather
@@ -52,7 +53,29 @@ def carry_over(
         Where no block of any look is known.
     """
     blocks, _ = gather(looks, centre, workers)
-    means, spreads = np.array([log_moments(law) for law in laws]).T
+    moments = np.array([log_moments(law) for law in laws]).T
+    trends, score = _trends(blocks, *moments)
+    bands = find_bands(blocks, first_trends(blocks))
+    taken = None
+    if bands.span >= SLIGHT:
+        flat_blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
+        others, better = _trends(flat_blocks, *moments)
+        # Schwarz's criterion: each bin of range is a parameter
+        free = sum(gain.size for gain in bands.gains)
+        seen = sum(int((b.known > 0).sum()) for b in flat_blocks)
+        if better - score > 0.5 * free * np.log(max(seen, 2)):
+            blocks, trends, taken = flat_blocks, others, bands
+    factor = noise_factor(looks, blocks)
+    pairs = zip(looks, trends, strict=True)
+    flat = [Flat(look, trend, centre, taken, k) for k, (look, trend) in enumerate(pairs)]
+    none = dark_law(flat, dark_blocks(blocks, trends, laws), factor)
+    return Classes(tuple(laws), trends, centre, factor, none, bands=taken)
+
+
+def _trends(
+    blocks: list[Blocks], means: FloatArray, spreads: FloatArray
+) -> tuple[FloatArray, float]:
+    """Gain and trend of each look under known classes, and the log likelihood."""
     first = first_trends(blocks)
     best, best_score = first, -np.inf
     for gain in GAINS:
@@ -64,10 +87,7 @@ def carry_over(
         score = level - 0.5 * float(trends[0, 0] / GAIN_SD) ** 2
         if score > best_score:
             best, best_score = trends, score
-    factor = noise_factor(looks, blocks)
-    flat = [Flat(look, trend, centre) for look, trend in zip(looks, best, strict=True)]
-    none = dark_law(flat, dark_blocks(blocks, best, laws), factor)
-    return Classes(tuple(laws), best, centre, factor, none)
+    return best, best_score
 
 
 def _assigned(

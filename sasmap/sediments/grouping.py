@@ -17,6 +17,9 @@ Labels = NDArray[np.int64]
 MOST_CLASSES = 8
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
+# Blocks a side at the core of a textured group: texture is described over 48 pixels, of averages
+# and differences that reach farther, so that the rim between two beds is up to six blocks wide.
+CORE_WIDTH = 7
 # Scatter that textures of one bed have beyond their sampling (log variances, mean amplitude).
 SCATTER = 0.05
 # Bhattacharyya distance (of Gaussians, nats) by which the textures of two beds must differ: 4
@@ -69,7 +72,9 @@ def grouped(
     return np.asarray(np.unique(nearest, return_inverse=True)[1])  # one may be of no point
 
 
-def pruned(labels: Labels, least: int, judged: NDArray[np.bool_] | None = None) -> Labels:
+def pruned(
+    labels: Labels, least: int, judged: NDArray[np.bool_] | None = None, across: int = 3
+) -> Labels:
     """Leave out groups that lie between others alone: blocks that two sediments share.
 
     Parameters
@@ -80,6 +85,8 @@ def pruned(labels: Labels, least: int, judged: NDArray[np.bool_] | None = None) 
         Groups that are left.
     judged : ndarray of bool (block rows, block columns), optional
         Blocks whose neighbours were all looked at. Default all.
+    across : int
+        Blocks a side that must be of one group at a group's core; odd.
 
     Returns
     -------
@@ -90,7 +97,8 @@ def pruned(labels: Labels, least: int, judged: NDArray[np.bool_] | None = None) 
     for k in there:
         mine = labels == k
         # neighbours that are uneven tell nothing
-        inside = binary_erosion(mine | (labels < 0), np.ones((3, 3)), border_value=1) & mine
+        inside = binary_erosion(mine | (labels < 0), np.ones((across, across)), border_value=1)
+        inside &= mine
         known = mine if judged is None or not (mine & judged).any() else mine & judged
         core[k] = (inside & known).sum() / known.sum()
     order = sorted(there, key=lambda k: core[k])
@@ -150,7 +158,7 @@ def textured_groups(
     needed : bool
         Whether amplitude alone has put unlike textures together.
     """
-    judged = binary_erosion(shown, np.ones((3, 3)), border_value=1)
+    judged = binary_erosion(shown, np.ones((CORE_WIDTH, CORE_WIDTH)), border_value=1)
     index = np.nonzero(np.isfinite(described[..., 0]))
     points = np.ascontiguousarray(described[index])
     result = np.full(labels.shape, -1)
@@ -158,7 +166,7 @@ def textured_groups(
         return result, False
     groups = grouped(points, (SCATTER,) * points.shape[1], count or 1, count)
     result[index] = _united(points, groups, count or 1, APART)
-    result = pruned(result, count or 1, judged)
+    result = pruned(result, count or 1, judged, CORE_WIDTH)
     points, groups = described[result >= 0], result[result >= 0]
     result[result >= 0] = _united(points, groups, count or 1, APART if count is None else np.inf)
     return result, any(

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sasmap.numerics.threads import Workers
-from sasmap.sediments.bands import Bands, evened, find_bands, steep
+from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled, steep
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, levels, noise_factor
 from sasmap.sediments.description import BlockTexture, gain_of
 from sasmap.sediments.fitting import Law
 from sasmap.sediments.floor import Flat, Part, around, chosen_tiles, gather, tiles
 from sasmap.sediments.grouping import grouped, pruned, textured_groups
-from sasmap.sediments.separation import laws_of, merged, too_alike, within
+from sasmap.sediments.separation import laws_of, merged, too_alike, united, within
 from sasmap.sediments.texture import DECIDING, MARGIN, Texture, channels, learn
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit
 
@@ -39,9 +39,8 @@ APART = 0.02
 # Pixels, of all looks, whose texture is described (at most some 250 MB, by blocks) and from which
 # textures are learned; and pixels a side of the tiles they are in where a survey has more of them.
 DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 3_000_000, 256
-# Gain by range that makes no classes, and that which surely moves them: log amplitude from the
-# least to the greatest (0.4 and 1.7 dB).
-SLIGHT, PLAIN = 0.05, 0.2
+# Gain by range that surely moves classes: log amplitude from the least to the greatest (1.7 dB).
+PLAIN = 0.2
 
 
 @dataclass
@@ -135,7 +134,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     """Group blocks, free of bands of gain, if there are any."""
     blocks = survey.blocks
     if bands is not None:
-        blocks = [_level(b, bands, k) for k, b in enumerate(blocks)]
+        blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
     first = trends = first_trends(blocks)
     dark = dark_blocks(blocks, trends)
     fewest, most = count or 1, None
@@ -166,6 +165,11 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     needed = alike or (mixed and not same and len(others) >= max(len(laws), 2))
     if needed:
         labels, laws = textured, others
+    if count is None:
+        level, weight = levels(blocks, trends)
+        seen = np.where(weight > 0, labels, -1)
+        seen, laws = united(flat, seen, laws, level, factor)
+        labels, needed = seen, needed and len(laws) > 1
     return _Found(labels, laws, needed, trends, bands, none)
 
 
@@ -212,16 +216,6 @@ def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int
     whole = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
     whole = whole[: shape[0], : shape[1]]
     return np.pad(whole, [(0, n - m) for n, m in zip(shape, whole.shape, strict=True)])
-
-
-def _level(block: Blocks, bands: Bands, look: int) -> Blocks:
-    """Take bands off a look's blocks, off their level and off how it scatters."""
-    spread = np.log(np.maximum(block.variance, 1e-6))
-    spread = evened(spread, block.known > 0, block, bands)
-    gain = bands.of_block(look, block)
-    there = np.isfinite(gain)
-    mean = np.where(there, block.mean - gain, 0.0)
-    return block._replace(mean=mean, variance=np.exp(spread), known=block.known * there)
 
 
 def _features(

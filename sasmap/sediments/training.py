@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.threads import Workers
+from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, noise_factor
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import TILE, Flat, Part, gather, marked_values, tiles
 from sasmap.sediments.texture import DECIDING, Texture, channels, learn, tells_more
-from sasmap.sediments.trends import BLOCK, AmplitudeGrid, first_trends, refit
+from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit, trend_of
 
 # Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
 # pixels that are marked alike where the block is.
 LEAST_SAMPLES, MARKED = 50, 0.9
+# Share of the scatter within marked classes that must be left without gain by range.
+AGREE = 0.8
 # Pixels, of all looks, from which textures are learned.
 SAMPLE = 6_000_000
 
@@ -48,14 +51,18 @@ def train_classes(
         Where the looks show too few of a class's pixels; or no block at all.
     """
     blocks, centre = gather(looks, None, workers)
-    trends = first_trends(blocks)
     labels = _marked_blocks(marks, blocks[0].mean.shape, count)
     index = np.nonzero(labels >= 0)
+    bands = _confirmed(blocks, labels)
+    if bands is not None:
+        blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
+    trends = first_trends(blocks)
     if index[0].size:
         _, groups = np.unique(labels[index], return_inverse=True)
         trends = refit(blocks, groups, index, trends)
     factor = noise_factor(looks, blocks)
-    flat = [Flat(look, trend, centre) for look, trend in zip(looks, trends, strict=True)]
+    pairs = zip(looks, trends, strict=True)
+    flat = [Flat(look, trend, centre, bands, k) for k, (look, trend) in enumerate(pairs)]
     laws = []
     for k, (values, known) in enumerate(marked_values(flat, marks, count), 1):
         if known < LEAST_SAMPLES * factor:
@@ -66,7 +73,42 @@ def train_classes(
         laws.append(choose(values, samples=values.size / factor).law)
     none = dark_law(flat, dark_blocks(blocks, trends, laws), factor)
     texture = _trained_texture(flat, marks, laws) if count > 1 else None
-    return Classes(tuple(laws), trends, centre, factor, none, texture)
+    return Classes(tuple(laws), trends, centre, factor, none, texture, bands)
+
+
+def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
+    """Gain by range, if marked blocks of one class agree better without it.
+
+    Sediments that lie beyond each other along a whole line are no gain where training shows them.
+    """
+    bands = find_bands(blocks, first_trends(blocks))
+    if bands.span < SLIGHT:
+        return None
+    scatter = [
+        _scatter(some, labels)
+        for some in (blocks, [leveled(b, bands, k) for k, b in enumerate(blocks)])
+    ]
+    return bands if scatter[1] < AGREE * scatter[0] else None
+
+
+def _scatter(blocks: list[Blocks], labels: NDArray[np.int64]) -> float:
+    """Share of the scatter of marked blocks' level that is within classes, over all looks.
+
+    Where there is one class, its variance.
+    """
+    levels, groups = [], []
+    for k, (block, trend) in enumerate(zip(blocks, first_trends(blocks), strict=True)):
+        there = (labels >= 0) & (block.known > 0)
+        levels.append((block.mean - trend_of(trend, block.place))[there])
+        groups.append(labels[there] + k * (labels.max() + 1))
+    level, group = np.concatenate(levels), np.concatenate(groups)
+    if not level.size:
+        return 0.0
+    _, group = np.unique(group, return_inverse=True)
+    counts = np.bincount(group)
+    rest = level - (np.bincount(group, level) / counts)[group]
+    total = float(np.var(level)) if (labels.max() > 0) else 1.0
+    return float(np.mean(rest**2)) / max(total, 1e-12)
 
 
 def _trained_texture(flat: Sequence[Flat], marks: Any, laws: Sequence[Law]) -> Texture | None:
