@@ -32,8 +32,8 @@ BASE, WORKING, SAMPLED = 400e6, 300.0, 130.0
 # Bytes on disk: of a look at a cell with its picture; of its pixels for the sediment map, modelled,
 # and of the ripples' extent; of the map in the making, and of products; of the mosaic, while it is
 # made and when it is.
-RECORD, KEPT, MODELLED, EXTENT = 80_000, 6, 4, 1
-MAKING, PRODUCTS, MOSAIC = 22, 6, 12
+RECORD, KEPT, MODELLED, EXTENT = 80_000, 8, 4, 1
+MAKING, PRODUCTS, MOSAIC = 24, 6, 12
 
 
 class Cost(NamedTuple):

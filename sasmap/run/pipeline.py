@@ -100,7 +100,7 @@ def run_survey(
             if survey.ripples is not None:
                 with clock.stage("ripples"):
                     _estimate_cells(plan, store, outcome, workers, client, progress)
-            _make_products(plan, store, outcome, clock, workers, progress)
+            _make_products(plan, store, outcome, clock, workers, client, progress)
             for line in summary_lines(outcome):
                 note(line)
             note("ended: " + ("complete" if not outcome.failures else "some things failed"))
@@ -113,6 +113,7 @@ def _make_products(
     outcome: Outcome,
     clock: Clock,
     workers: int | None,
+    client: Any,
     progress: Callable[[str, int, int], None] | None,
 ) -> None:
     survey = plan.settings
@@ -126,7 +127,7 @@ def _make_products(
             _attempt(
                 outcome,
                 "sediments",
-                lambda: sediment_stage(plan, store, outcome, workers, told),
+                lambda: sediment_stage(plan, store, outcome, workers, told, client),
             )
     log.info("mosaic")
     with clock.stage("mosaic"):

@@ -228,14 +228,15 @@ def _convergence(outcome: Outcome) -> dict[str, Any] | None:
 
 def _classes(outcome: Outcome, names: Names) -> Iterator[dict[str, Any]]:
     for c in outcome.sediments:
+        law = c["law"] is not None  # objects have none
         yield {
             "number": c["number"],
             "name": c["name"],
             "colour": hexadecimal(names.sediments[c["number"]][1]),
-            "law": c["law"].replace("_", " "),
-            "nu": "∞" if c["nu"] is None else f"{c['nu']:.3g}",
-            "kappa": f"{c['kappa']:.3g}",
-            "intensity": f"{c['intensity_dB_over_first']:.1f}",
+            "law": c["law"].replace("_", " ") if law else "",
+            "nu": ("∞" if c["nu"] is None else f"{c['nu']:.3g}") if law else "",
+            "kappa": f"{c['kappa']:.3g}" if law else "",
+            "intensity": f"{c['intensity_dB_over_first']:.1f}" if law else "",
             "area": f"{c['area_m2']:,.0f}",
         }
 

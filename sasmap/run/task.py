@@ -127,8 +127,7 @@ def _finished(
             arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
             arrays["reference"] = np.array(posterior.reference)
     if plan.settings.sediments is not None and pixels is not None and not plan.overlaps:
-        amplitude, cotangent = _floor(plan, cell, pixels)
-        arrays |= {"amplitude": amplitude, "cotangent": cotangent}
+        arrays |= _floor(plan, cell, pixels)
     if arrays:
         store.save_arrays(key, arrays)
     store.save(key, summary)
@@ -256,13 +255,16 @@ def extent_beside(
     return _packed(plan, cell, clip, on_clip(clip, image, np.max(found, axis=0)))
 
 
-def _floor(plan: Plan, cell: Cell, pixels: Clip) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
-    """Amplitude and cotangent of grazing on a cell's own pixels."""
+def _floor(plan: Plan, cell: Cell, pixels: Clip) -> dict[str, NDArray[Any]]:
+    """Amplitude, cotangent of grazing and altitude on a cell's own pixels."""
     place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    amplitude = on_cell(pixels, known, *place)
     cotangent = on_cell(pixels, pixels.ground_range / pixels.altitude, *place)
-    return amplitude.astype(np.float32), np.minimum(cotangent, 6e4).astype(np.float16)
+    return {
+        "amplitude": on_cell(pixels, known, *place).astype(np.float32),
+        "cotangent": np.minimum(cotangent, 6e4).astype(np.float16),
+        "altitude": np.minimum(on_cell(pixels, pixels.altitude, *place), 6e4).astype(np.float16),
+    }
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
@@ -366,10 +368,11 @@ def track_hash(track: Track) -> str:
     return state.hexdigest()
 
 
-def read_floor(
-    context: Context, cell: Cell, k: int, key: str | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Read amplitude and cotangent of grazing on a cell's own pixels.
+Floor = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def read_floor(context: Context, cell: Cell, k: int, key: str | None) -> Floor | None:
+    """Read amplitude, cotangent of grazing and altitude on a cell's own pixels.
 
     Parameters
     ----------
@@ -394,11 +397,13 @@ def read_floor(
     look = plan.swaths[k]
     if k not in plan.cells.get(cell, ()):
         return None
-    kept = store.load_arrays(key, ("amplitude", "cotangent")) if key is not None else None
-    if kept is not None:
-        return kept[0].astype(float), kept[1].astype(float)
-    clip = clip_of(plan, cell, look, look.side)
-    if clip is None:
-        return None
-    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip))
-    return amplitude.astype(float), cotangent.astype(float)
+    names = ("amplitude", "cotangent", "altitude")
+    kept = store.load_arrays(key, names) if key is not None else None
+    if kept is None:
+        clip = clip_of(plan, cell, look, look.side)
+        if clip is None:
+            return None
+        floor = _floor(plan, cell, Clip.from_array(clip))
+        kept = [floor[name] for name in names]
+    first, second, third = (v.astype(float) for v in kept)
+    return first, second, third
