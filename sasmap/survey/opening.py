@@ -27,6 +27,7 @@ from sasmap.survey.passes import Side, SonarPass, open_lazily
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
 from sasmap.survey.seen import assign_tiles, check_altitude, shows_floor
 from sasmap.survey.tiles import Tile, find_tiles, inspect_tile
+from sasmap.survey.water import check_column
 
 T = TypeVar("T")
 
@@ -254,6 +255,7 @@ def _open(
     found = assign_tiles(wanted, labels, crs, warnings)
     for one in found:
         check_altitude(one, crs, warnings)
+        warnings += check_column(one, crs)
         warnings += compare_gains(one.tiles, crs)
     warnings += _check_pixels(found, crs)
     return found
