@@ -212,6 +212,32 @@ def rounded(folder):
     folder.text(rows_of(rows, head="longitude,latitude,altitude"))
 
 
+def named(name, pattern):
+    def write(folder):
+        folder.tile()
+        (folder.path / "t" / "a.tif").rename(folder.path / "t" / name)
+        folder.tile(name="b.tif")
+        folder.keys["tiles"] = [pattern]
+        folder.pings(track())
+
+    return write
+
+
+def picture(folder):
+    image = pytest.importorskip("PIL.Image")
+    image.fromarray(SPECKLE).save(folder.path / "t" / "a.png")
+    folder.keys["tiles"] = ["t/*.png"]
+    folder.tile(name="b.tif")
+
+
+def west(folder):
+    longitude, latitude = -81.0, np.linspace(29.8297, 29.8301, 90)
+    folder.text(rows_of(track(-longitude, latitude), head="longitude,latitude,altitude"))
+
+
+SLOW = "\n".join(
+    f"{x},{y},{z if k % 6 == 0 else ''}" for k, (x, y, z) in enumerate(track().tolist())
+)
 LATE = np.arange(NORTH.size)[:, None] >= 30
 EAST, ALTITUDE = np.arange(3) == 0, np.arange(3) == 2
 FAR_LINE = track(502000.0, NORTH[::-1])
@@ -291,6 +317,13 @@ KINDS = [
      column(water(np.hstack([SPECKLE, SPECKLE])), 16.4, range="slant")),
     ("slant, altitude in fathoms", "doubt", ("nav.csv", "first echo stands at 5", "fathoms"),
      column(water(SPECKLE), 2.73, range="slant")),
+    # names of files
+    ("ending in upper case", "refuse", ("upper and lower case", "a.TIF"),
+     named("a.TIF", "t/a*.tif")),
+    ("folders parted as on Windows", "refuse", ("parted by /",), named("a.tif", "t\\*.tif")),
+    ("a folder for its tiles", "refuse", ("expected files, such as t/*.tif",), named("a.tif", "t")),
+    ("no such folder", "refuse", ("there is no folder",), named("a.tif", "tiles/*.tif")),
+    ("PNG", "refuse", ("gdal_translate a.png a.tif",), picture),
     # place
     ("geographic", "refuse", ("a.tif", "crs: EPSG:"),
      tile(SPECKLE, transform=Affine(5e-7, 0, -81, 0, -5e-7, 29.8), crs="EPSG:4326")),
@@ -363,6 +396,16 @@ KINDS = [
      lambda f: (f.tile(crs=None, transform=None), (f.path / "t/a.tfw").write_text("1\n"))),
     ("unknown column named", "refuse", ("nav.csv", "'depth'"),
      text(rows_of(track()), columns={"altitude": "depth"})),
+    ("x and y swapped", "refuse", ("may be swapped",), pings(track()[:, [1, 0, 2]])),
+    ("kilometres", "refuse", ("may be in kilometres",), pings(track() / [1e3, 1e3, 1.0])),
+    ("longitude without its sign", "refuse", ("longitude may lack",), west),
+    ("another zone", "refuse", ("km away", "navigation_crs"),
+     text(rows_of(track()), navigation_crs="EPSG:32618")),
+    ("navigation of half the tile", "name", ("a.tif", "beyond the ends"), pings(track()[:25])),
+    ("altitude in whole metres", "name", ("nav.csv", "rounded to steps of 1 m"),
+     pings(np.column_stack([track()[:, :2], np.round(np.linspace(4.2, 5.8, NORTH.size))]))),
+    ("an altimeter slower than the sonar", "name", ("nav.csv", "interpolated"),
+     text("x,y,altitude\n" + SLOW + "\n")),
     ("a wide row", "refuse", ("nav.csv", "row 4"),
      text(rows_of(track()).replace("\n500000.0,3299996.0,5.0", "\n500000,0,3299996,0,5,0"))),
 ]  # fmt: skip
