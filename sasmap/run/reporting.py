@@ -109,11 +109,19 @@ def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
         ]
         if not found:
             continue
+        shift = next((c.registration[k] for c in outcome.fused.values() if c.registration), (0, 0))
+        if any(shift):
+            yield (
+                f"{swath.label}: by the crests of all cells the pass lies {shift[0]:+.3f} m east "
+                f"and {shift[1]:+.3f} m north of the first, which is taken for registration, not "
+                "for migration."
+            )
         moved, sd = np.array(found).T
         clear = int((np.abs(moved) > SURE * np.hypot(sd, REGISTERED)).sum())
         yield (
             f"{swath.label}: crests lie {np.median(moved):+.3f} m from those of the first pass "
-            f"(median of {len(found)} cells; modulo a wavelength); {clear} of them clearly moved, "
+            f"(median of {len(found)} cells; modulo a wavelength"
+            f"{', registration taken off' if any(shift) else ''}); {clear} of them clearly moved, "
             f"if the passes are registered to {REGISTERED:g} m."
         )
 

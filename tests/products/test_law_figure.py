@@ -9,7 +9,10 @@ from sasmap.ripples.survey import SurveyModel
 def model(sd, learned=True):
     rng = np.random.default_rng(1)
     laws = np.array([2.0, 0.1]) + sd * rng.standard_normal((24, 2))
-    values = [Shared(law, np.full(2, 0.1), np.zeros(1), np.full(3, 0.01), 0.2) for law in laws]
+    values = [
+        Shared(law, np.full(2, 0.1), np.zeros(2), np.zeros(1), np.full(3, 0.01), 0.2)
+        for law in laws
+    ]
     return SurveyModel(tuple(values), learned)
 
 
