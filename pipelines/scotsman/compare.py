@@ -3,7 +3,8 @@
     python pipelines/scotsman/compare.py [--data DIR] [--output DIR]
 
 Prints how far the pixels of either set lie apart, and which share of the sea floor that both show
-gets the same sediment. Classes are numbered alike where that share is largest.
+gets the same sediment. Classes are paired one to one so that the share is largest; the second share
+lets several classes of one map be one of the other's.
 """
 
 from __future__ import annotations
@@ -45,14 +46,15 @@ def shift(first: Path, second: Path) -> tuple[float, float]:
     return step * float(moved[0]), -step * float(moved[1])
 
 
-def agreement(first: Path, second: Path) -> tuple[np.ndarray, float]:
-    """Table of classes by classes, and the share of pixels that agree."""
+def agreement(first: Path, second: Path) -> tuple[np.ndarray, float, float]:
+    """Table of classes by classes; shares of pixels that agree one to one, and many to one."""
     one, other, _ = laid_over(first, second)
     both = (one > 0) & (other > 0)
     table = np.zeros((int(one.max()), int(other.max())), int)
     np.add.at(table, (one[both] - 1, other[both] - 1), 1)
     alike = linear_sum_assignment(-table)
-    return table, float(table[alike].sum() / table.sum())
+    merged = table.max(axis=0 if table.shape[1] > table.shape[0] else 1)
+    return table, float(table[alike].sum() / table.sum()), float(merged.sum() / table.sum())
 
 
 def main() -> int:
@@ -79,10 +81,10 @@ def main() -> int:
         return status
     maps = [output / name / "out" for name in ("beside", "made")]
     north, east = shift(*(m / "mosaic.tif" for m in maps))
-    table, share = agreement(*(m / "sediment_class.tif" for m in maps))
+    table, share, merged = agreement(*(m / "sediment_class.tif" for m in maps))
     print(f"mosaic made from the recording: {north:+.2f} m north, {east:+.2f} m east")
     print(f"classes of the tiles beside (rows), of those made (columns), pixels:\n{table}")
-    print(f"sea floor with the same sediment: {share:.1%}")
+    print(f"sea floor with the same sediment: {share:.1%}; with classes merged: {merged:.1%}")
     return 0
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sasmap.survey.lattice import FloatArray, Window, transform_points
 from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
+from sasmap.survey.water import LARGEST
 
 # Pixels a side of the windows that are looked at (those of a usual cell), windows at most, pixels
 # averaged before, and the least valid share of a window.
@@ -139,6 +140,8 @@ def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend |
     ranges = (slant, distance) if sonar_pass.slant else (distance, slant)
     steps = rows[1] - rows[0], columns[1] - columns[0]
     slope = np.array([np.gradient(distance, s, axis=k).mean() for k, s in enumerate(steps)])
+    if not slope.any():
+        return None
     along = float(vector @ slope / (slope @ slope))  # cycles a metre of distance
     if abs(along) < ALONG * np.hypot(*vector) / np.hypot(*slope):
         return None
@@ -147,7 +150,7 @@ def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend |
     if expected < LEAST_BEND**2:
         return None
     left = [-2 * np.log(_coherence(field * np.exp(-1j * phase))) for phase in phases]
-    return Bend(0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / left[0])
+    return Bend(0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / max(left[0], 1e-9))
 
 
 def _bent(
@@ -184,7 +187,7 @@ def _waves(
         Of the plane wave, cycles a row and a column.
     """
     try:
-        values = np.asarray(read_tile(tile, window), float)
+        values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)
     except OSError:
         return None
     height, width = (n // MEAN for n in values.shape)

@@ -156,6 +156,9 @@ def _black_border(
     if area is None or not (rim := _rim(area, dark, shape)).any():
         return ""
     values = blocks.value[rim]
+    values = values[(values >= 0) & (values <= limit)]  # a block's first probe may be nodata
+    if values.size < RIM:
+        return ""
     mean, spread = float(values.mean()), float(values.std())
     skewness = float((((values - mean) / spread) ** 3).mean()) if spread > 0 else 0.0
     if NOISE_SKEWNESS[0] < skewness < NOISE_SKEWNESS[1]:

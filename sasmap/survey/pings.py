@@ -319,7 +319,8 @@ def rounding_of(values: FloatArray) -> float:
         return 0.0
     step = float(gaps.min())
     decimal = abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3
-    single = values.astype(np.float32)
+    with np.errstate(over="ignore"):  # what single precision cannot hold is not of it
+        single = values.astype(np.float32)
     coarse = bool((single == values).all()) and step >= 0.99 * np.spacing(np.abs(single).max())
     if not (decimal or coarse):
         return 0.0

@@ -48,6 +48,8 @@ FOLLOWS, VARIES = 0.015, 0.06
 GROUPS, EDGE = 8, 0.002
 # Intensity of nothing at all, over the largest; it keeps logarithms finite.
 SILENCE, TINY = 1e-12, np.finfo(float).tiny
+# Amplitude whose square is still finite.
+LARGEST = 1e150
 
 
 class Profile(NamedTuple):
@@ -235,7 +237,7 @@ def _seen(sonar_pass: SonarPass, x: FloatArray, y: FloatArray) -> tuple[FloatArr
 
 def _pixels(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> FloatArray:
     """Distance in altitudes, altitude and intensity (NaN: none) of a window's near pixels."""
-    values = np.asarray(read_tile(tile, window), float)
+    values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)
     x, y = np.broadcast_arrays(
         *transform_points(tile.lattice.crs, crs, *tile.lattice.centres(window))
     )
