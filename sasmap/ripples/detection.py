@@ -40,7 +40,7 @@ PRIOR, PART_TRIALS = 16.0, 1.5
 # Strong waves of several lengths are rarely anything else: nats that a contrast (from, to) of an
 # extent (from, to) is worth. Of more lengths (less, from and to), the spectrum itself tells enough,
 # and speckle has as much contrast where its grain is as long as a wave.
-STRENGTH, STRONG, WIDE, MANY = 10.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
+STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
 # Less the excess kurtosis (from, to) at which strength counts for nothing, and fully: grain and
 # marks have pointed profiles.
 ROUND = (-0.3, 0.0)
