@@ -4,8 +4,8 @@
 
 A bed with wandering crests is rendered by the coherent simulator, cut into cells of each window and
 estimated as a survey of one pass: each cell by itself, then all of a window's cells together. For
-every window the number of good cells, the medians of f and A_H over the bed's, and how often its A_H
-lies in the 90 % interval.
+every window the number of good cells, the medians of f and A_H over the bed's, and how often its
+A_H lies in the 90 % interval.
 """
 
 from __future__ import annotations
