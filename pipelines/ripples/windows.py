@@ -4,8 +4,8 @@
 
 A bed with wandering crests is rendered by the coherent simulator, cut into cells of each window and
 estimated as a survey of one pass: each cell by itself, then all of a window's cells together. For
-every window the number of good cells, the median of f over that of all windows and how often the
-bed's own f lies in the 90 % interval; the same of A_H.
+every window the number of good cells, the medians of f and A_H over the bed's, and how often its
+A_H lies in the 90 % interval.
 """
 
 from __future__ import annotations
@@ -69,11 +69,11 @@ def main() -> None:
             if not good:
                 break
             mean, low, high = (np.array([getattr(c, s)[i] for c in good]) for s in NAMES)
-            inside = float(np.mean((low < truth[i]) & (truth[i] < high)))
-            parts.append(
-                f"{name}: median {np.median(mean) / truth[i]:.4f} of the truth, "
-                f"90 % interval {np.median((high - low) / mean):.3f} wide, holds it in {inside:.0%}"
-            )
+            parts.append(f"{name}: median {np.median(mean) / truth[i]:.4f} of the bed's")
+            if name == "A_H":  # f differs from place to place where crests wander
+                inside = float(np.mean((low < truth[i]) & (truth[i] < high)))
+                width = np.median((high - low) / mean)
+                parts.append(f"90 % interval {width:.3f} wide, holds it in {inside:.0%}")
         print("; ".join(parts), flush=True)
 
 

@@ -18,7 +18,6 @@ from scipy.fft import fft2
 
 from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import Image
-from sasmap.ripples.pixels import box_sums
 from sasmap.ripples.places import contrast_of, extents, lines_of, objectness
 from sasmap.ripples.spectra import (
     MIN_PIXELS,
@@ -40,7 +39,7 @@ PRIOR, PART_TRIALS = 16.0, 1.5
 # Strong waves of several lengths are rarely anything else: nats that a contrast (from, to) of an
 # extent (from, to) is worth. Of more lengths (less, from and to), the spectrum itself tells enough,
 # and speckle has as much contrast where its grain is as long as a wave.
-STRENGTH, STRONG, WIDE, MANY = 10.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
+STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
 # Less the excess kurtosis (from, to) at which strength counts for nothing, and fully: grain and
 # marks have pointed profiles.
 ROUND = (-0.3, 0.0)
@@ -319,9 +318,11 @@ def _periodic(gains: FloatArray) -> bool:
 
 def _too_long(image: Image, flat: FloatArray, bounds: tuple[float, float]) -> bool:
     """Whether a clip is mostly one strong wave of which it holds too few lengths."""
-    window = np.multiply.outer(*(taper(n) ** 2 for n in image.shape))
+    tall, wide = (taper(n) ** 2 for n in image.shape)
     size = max(min(image.shape) // 32, 1)
-    power = np.abs(fft2(box_sums(flat * window, image.valid, 0.0, 0.0, size)[0].real)) ** 2
+    rows, columns = (np.arange(0, n, size) for n in image.shape)
+    strips = np.add.reduceat(flat * tall[:, None], rows, axis=0)
+    power = np.abs(fft2(np.add.reduceat(strips * wide, columns, axis=1))) ** 2
     down, right = (np.fft.fftfreq(n, size) for n in power.shape)
     waves = np.hypot(down[:, None] * image.shape[0], right * image.shape[1])
     along = np.stack(np.meshgrid(right, down), axis=-1) @ np.linalg.inv(image.steps)
@@ -332,7 +333,7 @@ def _too_long(image: Image, flat: FloatArray, bounds: tuple[float, float]) -> bo
         return False
     peak = np.unravel_index(int(np.where(low, power, 0.0).argmax()), power.shape)
     highest = float(power[peak])
-    whole = float((window * image.valid).sum())
+    whole = float(tall @ (image.valid @ wide))
     # a wave and its mirror image, over four bins each under a Hann taper
     share = 2 * FEW_BINS * highest / max(float(power[waves > 0].sum()), 1e-300)
     if 2 * np.sqrt(highest) / whole < FEW_CONTRAST or share < FEW_SHARE:
