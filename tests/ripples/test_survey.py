@@ -220,6 +220,16 @@ def test_honest_passes_agree_and_false_ones_do_not():
     assert all(c.qualities[1] is Quality.CONTRADICTION for c in fused[:20])
 
 
+def test_a_cell_is_the_same_whatever_cells_are_combined_with_it():
+    cells, _ = survey(12, 10, 4, passes=2)
+    model = learn_survey(cells, SETTINGS, 1)
+    whole = fuse_cells(cells, SETTINGS, model)
+    for i in (0, 7):
+        alone = fuse_cells([cells[i]], SETTINGS, model)[0].final
+        np.testing.assert_allclose(alone.mean, whole[i].final.mean, rtol=1e-9)
+        np.testing.assert_allclose(alone.q95, whole[i].final.q95, rtol=1e-9)
+
+
 def test_the_same_looks_give_the_same_model():
     cells, _ = survey(7, 12, 6)
     first, second = (learn_survey(cells, SETTINGS, 3) for _ in range(2))
