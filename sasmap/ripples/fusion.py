@@ -527,8 +527,9 @@ def estimates(
     """
     weight = np.exp(level - level.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
-    # what counts for nothing in any cell is left out
-    last = int((weight > NEGLIGIBLE).sum(axis=1).max())
+    # what counts for nothing is left out
+    weight[weight < NEGLIGIBLE] = 0.0
+    last = int((weight > 0).sum(axis=1).max())
     heavy = np.argsort(-weight, axis=1, kind="stable")[:, :last]
     weight = np.take_along_axis(weight, heavy, 1)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -98,6 +98,7 @@ def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
         **(law if survey.learned else {}),
         "lambert": {"exponent": 2.0, "concentration": 0.0},
         "zare_cobb": {"exponent": 0.0, "concentration": 3 / math.pi},
+        "shift_by_shape": list(quantiles["shift"][1]),
         "altitude_offset_m": [list(q) for q in quantiles["offset"].T],
         "scatter_between_passes": list(quantiles["scatter"][1]),
     }

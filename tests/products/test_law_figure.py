@@ -31,6 +31,13 @@ def test_the_caption_says_whether_anything_fixed_the_law():
     assert "No shadow" in told(model(1.0))
 
 
+def test_the_caption_says_that_shape_misleads():
+    plain = model(0.05)
+    bent = [v._replace(shift=np.array([-1.0, 0.0])) for v in plain.values]
+    assert "bends otherwise" not in told(plain)
+    assert "wrong by -1.0" in told(SurveyModel(tuple(bent), True))
+
+
 @pytest.mark.parametrize("survey", [None, model(0.1, learned=False)])
 def test_a_law_that_was_not_learned_is_not_drawn(survey):
     assert law_figure(survey, (6.0, 25.0)) is None
