@@ -254,7 +254,8 @@ CATALOGUE = (
         "pixel codes",
         "Sediments",
         "Class of each pixel, by rising intensity or in the order of the survey file, with colours "
-        "and names. Shadow and water column belong to no class.",
+        "and names. Objects (wrecks, boulders) bear the last number; shadow and water column "
+        "belong to no class.",
         (Band("sediment class", ""),),
         shown=True,
         opacity=0.5,

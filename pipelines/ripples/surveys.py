@@ -1,19 +1,23 @@
 """Heights of whole surveys: one scattering law, a few cells with shadow, the rest by contrast.
 
     python pipelines/ripples/surveys.py [--surveys 6] [--cells 60] [--shadowed 15] [--csv FILE]
+        [--cache FOLDER]
 
 Each survey has one scattering law, of the fitted family or outside it, rendered by the coherent
 simulator. Some of its cells lie so far out that ripples cast shadow, the others do not. Every cell
 is estimated by itself; then the law is learned from all of them. Prints coverage and error of A_H
-before and after, for cells with shadow and without.
+before and after, for cells with shadow and without. With a cache the looks are estimated once and
+kept there, so that the second stage can be studied again in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import pickle
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,13 +63,24 @@ def draw_cell(rng: np.random.Generator, size: int, shadowed: bool) -> dict[str, 
     }
 
 
-def one(job: tuple[int, int, bool], law: Any, size: int) -> tuple[Summary, dict[str, Any]]:
-    """Estimate one cell of a survey."""
+Look = tuple[Summary, dict[str, Any]]
+
+
+def one(job: tuple[int, int, bool], law: Any, size: int, cache: Path | None) -> Look:
+    """Estimate one cell of a survey, or read its estimate from the cache."""
     seed, number, shadowed = job
+    kept = cache / f"{seed}-{size}-{number}{'s' * shadowed}.pkl" if cache else None
+    if kept is not None and kept.exists():
+        look: Look = pickle.loads(kept.read_bytes())
+        return look
     rng = np.random.default_rng([seed, number, 4])
-    made = coherent_cell(rng, law=law, **draw_cell(rng, size, shadowed))
+    drawn = draw_cell(rng, size, shadowed)
+    made = coherent_cell(rng, law=law, **drawn)
     summary = summarise(estimate(made.clip, RippleSettings(), rng=number))
-    return summary, {"height": made.height, "shadowed": shadowed}
+    look = summary, {"height": made.height, "frequency": made.frequency, "shadowed": shadowed}
+    if kept is not None:
+        kept.write_bytes(pickle.dumps(look))
+    return look
 
 
 def covers(low: float, high: float, truth: float) -> bool:
@@ -86,11 +101,13 @@ def describe(title: str, rows: list[dict[str, Any]]) -> None:
     print("   ".join(parts), flush=True)
 
 
-def run(seed: int, cells: int, shadowed: int, size: int, pool: Any) -> list[dict[str, Any]]:
+def run(
+    seed: int, cells: int, shadowed: int, size: int, pool: Any, cache: Path | None
+) -> list[dict[str, Any]]:
     """Simulate and estimate one survey; a row for each good cell."""
     law = law_of(seed)
     jobs = [(seed, i, i < shadowed) for i in range(cells)]
-    found = list(pool.map(partial(one, law=law, size=size), jobs))
+    found = list(pool.map(partial(one, law=law, size=size, cache=cache), jobs))
     summaries = [[summary] for summary, _ in found]
     survey = learn_survey(summaries, RippleSettings(), seed)
     rows = []
@@ -130,11 +147,14 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=500)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--csv")
+    parser.add_argument("--cache", type=Path)
     options = parser.parse_args()
+    if options.cache:
+        options.cache.mkdir(parents=True, exist_ok=True)
     rows = []
     with ProcessPoolExecutor(options.workers) as pool:
         for seed in range(options.first, options.first + options.surveys):
-            rows += run(seed, options.cells, options.shadowed, options.size, pool)
+            rows += run(seed, options.cells, options.shadowed, options.size, pool, options.cache)
     describe("all with shadow", [r for r in rows if r["shadowed"]])
     describe("all by contrast", [r for r in rows if not r["shadowed"]])
     if options.csv:

@@ -18,8 +18,10 @@ from pathlib import Path
 import numpy as np
 from skimage.io import imread, imsave
 
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.classmap import class_map, log_likelihoods
-from sasmap.sediments.segmentation import Classes, find_classes, train_classes
+from sasmap.sediments.segmentation import find_classes
+from sasmap.sediments.training import train_classes
 from sasmap.sediments.trends import AmplitudeGrid
 
 NAMES, GREYS = ("sand", "rock", "other"), (0, 127, 255)

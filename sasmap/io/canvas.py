@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -13,9 +14,11 @@ from numpy.typing import NDArray
 
 
 class Canvas:
-    """A raster of zeros on disk whose slices are arrays; threads may share it.
+    """A raster of zeros on disk whose slices are arrays; threads and processes may share it.
 
-    It lies in square blocks, so that a slice takes a few reads, not one a row.
+    It lies in square blocks, so that a slice takes a few reads, not one a row. Its file is opened
+    for each slice: on a network's file system that is when others' writing is seen. Pickled, it is
+    the same raster where the same folder is seen.
 
     Parameters
     ----------
@@ -32,10 +35,18 @@ class Canvas:
         self.shape, self.dtype, self._block = shape, np.dtype(dtype), block
         self._across = -(-shape[1] // block)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._path = path
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+        self._path = path.absolute()
         blocks = self._across * -(-shape[0] // block)
-        os.ftruncate(self._file, blocks * block * block * self.dtype.itemsize)
+        with self._opened(os.O_CREAT | os.O_TRUNC) as file:
+            os.ftruncate(file, blocks * block * block * self.dtype.itemsize)
+
+    @contextmanager
+    def _opened(self, flags: int = 0) -> Iterator[int]:
+        file = os.open(self._path, os.O_RDWR | flags, 0o644)
+        try:
+            yield file
+        finally:
+            os.close(file)
 
     def __enter__(self) -> Self:
         return self
@@ -50,10 +61,7 @@ class Canvas:
 
     def close(self) -> None:
         """Forget the raster."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._path.unlink(missing_ok=True)
-            self._file = -1
+        self._path.unlink(missing_ok=True)
 
     def _box(self, part: Any) -> tuple[int, int, int, int]:
         rows, columns = part if isinstance(part, tuple) else (part, slice(None))
@@ -82,17 +90,18 @@ class Canvas:
         result = np.empty((box[1] - box[0], box[3] - box[2]), self.dtype)
         if result.size == 0:
             return result
-        for number, rows, columns in self._parts(box):
-            height = rows.stop - rows.start
-            wanted = height * self._block * self.dtype.itemsize
-            raw = os.pread(self._file, wanted, self._offset(number, rows.start, 0))
-            if len(raw) < wanted:
-                raise OSError(f"{self._path}: ends too early")
-            values = np.frombuffer(raw, self.dtype).reshape(height, self._block)
-            first = columns.start % self._block
-            where = slice(rows.start - box[0], rows.stop - box[0])
-            across = slice(columns.start - box[2], columns.stop - box[2])
-            result[where, across] = values[:, first : first + columns.stop - columns.start]
+        with self._opened() as file:
+            for number, rows, columns in self._parts(box):
+                height = rows.stop - rows.start
+                wanted = height * self._block * self.dtype.itemsize
+                raw = os.pread(file, wanted, self._offset(number, rows.start, 0))
+                if len(raw) < wanted:
+                    raise OSError(f"{self._path}: ends too early")
+                values = np.frombuffer(raw, self.dtype).reshape(height, self._block)
+                first = columns.start % self._block
+                where = slice(rows.start - box[0], rows.stop - box[0])
+                across = slice(columns.start - box[2], columns.stop - box[2])
+                result[where, across] = values[:, first : first + columns.stop - columns.start]
         return result
 
     def __setitem__(self, part: Any, values: NDArray[Any]) -> None:
@@ -100,18 +109,20 @@ class Canvas:
         box = self._box(part)
         every = np.empty((box[1] - box[0], box[3] - box[2]), self.dtype)
         every[:] = values
-        for number, rows, columns in self._parts(box):
-            part = every[
-                rows.start - box[0] : rows.stop - box[0],
-                columns.start - box[2] : columns.stop - box[2],
-            ]
-            if part.shape[1] == self._block:  # whole rows of the block lie in one piece
-                self._write(part.tobytes(), self._offset(number, rows.start, 0))
-            else:
-                for k, row in enumerate(part, rows.start):
-                    self._write(row.tobytes(), self._offset(number, k, columns.start))
+        with self._opened() as file:
+            for number, rows, columns in self._parts(box):
+                part = every[
+                    rows.start - box[0] : rows.stop - box[0],
+                    columns.start - box[2] : columns.stop - box[2],
+                ]
+                if part.shape[1] == self._block:  # whole rows of the block lie in one piece
+                    _write(file, part.tobytes(), self._offset(number, rows.start, 0))
+                else:
+                    for k, row in enumerate(part, rows.start):
+                        _write(file, row.tobytes(), self._offset(number, k, columns.start))
 
-    def _write(self, raw: bytes, offset: int) -> None:
-        done = 0
-        while done < len(raw):
-            done += os.pwrite(self._file, raw[done:], offset + done)
+
+def _write(file: int, raw: bytes, offset: int) -> None:
+    done = 0
+    while done < len(raw):
+        done += os.pwrite(file, raw[done:], offset + done)

@@ -143,4 +143,4 @@ def log_densities(points: FloatArray, mixture: Mixture) -> FloatArray:
     norm -= 0.5 * points.shape[1] * np.log(2 * np.pi)
     inverse = np.linalg.inv(factor)
     fill_squares(points, mixture.mean, inverse, result)
-    return norm - 0.5 * result
+    return np.asarray(norm - 0.5 * result)

@@ -1,30 +1,35 @@
-"""Work in threads that an interrupt or a fault ends at once."""
+"""Work in threads that an interrupt or a fault ends at once, or wherever else it is spread."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+# Threads (None for one a core), or a function that spreads work elsewhere and yields in order.
+Workers = int | None | Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 
-def mapped(function: Callable[[T], R], items: Iterable[T], workers: int | None) -> Iterator[R]:
+def mapped(function: Callable[[T], R], items: Iterable[T], workers: Workers) -> Iterator[R]:
     """Yield what a function gives for each item, in order; little more than `workers` wait.
 
     Parameters
     ----------
     function : callable
     items : iterable
-    workers : int or None
-        Threads; None for one a core.
+    workers : int, None or callable
+        Threads; None for one a core. Or called with the function and the items.
 
     Yields
     ------
     object
     """
+    if callable(workers):
+        yield from workers(function, items)
+        return
     pool = ThreadPoolExecutor(workers)
     rest = iter(items)
     try:

@@ -71,6 +71,7 @@ def write_ripples_netcdf(
     shape: tuple[int, int],
     transform: Affine,
     crs: str,
+    size: float,
     tags: Mapping[str, str],
     scratch: Path,
     survey: SurveyModel | None = None,
@@ -91,6 +92,8 @@ def write_ripples_netcdf(
     transform : Affine
     crs : str
         WKT.
+    size : float
+        Side of a cell, m: where cells overlap their bounds are written.
     tags : mapping of str to str
         Global attributes.
     scratch : Path
@@ -121,6 +124,11 @@ def write_ripples_netcdf(
         "y": ("y", _centres(transform.f, transform.e, shape[0]), _axis("y")),
         "x": ("x", _centres(transform.c, transform.a, shape[1]), _axis("x")),
     }
+    if size > transform.a:
+        for name, (_, centres, about) in list(coordinates.items())[2:]:
+            about["bounds"] = f"{name}_bounds"
+            ends = centres[:, None] + 0.5 * size * np.array([-1, 1])
+            variables[f"{name}_bounds"] = ((name, "bounds"), ends)
     result = xr.Dataset(variables, coordinates, _global(tags))
     # what is known everywhere has no fill value, nor have coordinates
     encoding = {

@@ -74,7 +74,7 @@ def _layer(product: Product, tags: Mapping[str, str]) -> Layer:
 
 
 def write_cells(
-    folder: Path, results: Results, transform: Affine, crs: str, scratch: Path
+    folder: Path, results: Results, transform: Affine, crs: str, size: float, scratch: Path
 ) -> list[Path]:
     """Write ripple_cells.gpkg, a polygon a cell, and ripple_cells.csv, a line a cell.
 
@@ -86,6 +86,8 @@ def write_cells(
         Of rasters with a pixel a cell.
     crs : str
         WKT.
+    size : float
+        Side of a cell, m; larger than that pixel where cells overlap.
     scratch : Path
 
     Returns
@@ -97,7 +99,7 @@ def write_cells(
         "column": [column for _, column in results],
         **attributes(list(results.values())),
     }
-    squares = [_square(transform, row, column) for row, column in results]
+    squares = [_square(transform, row, column, size) for row, column in results]
     path = folder / "ripple_cells.gpkg"
     arrays = {name: _array(values) for name, values in columns.items()}
     write_layer(path, "cells", "Polygon", squares, arrays, crs, scratch)
@@ -111,9 +113,10 @@ def write_cells(
     return [path, table]
 
 
-def _square(transform: Affine, row: int, column: int) -> Any:
-    left, top = transform @ (column, row)
-    right, bottom = transform @ (column + 1, row + 1)
+def _square(transform: Affine, row: int, column: int, size: float) -> Any:
+    margin = 0.5 * (size / transform.a - 1)  # pixels
+    left, top = transform @ (column - margin, row - margin)
+    right, bottom = transform @ (column + 1 + margin, row + 1 + margin)
     return shapely.box(left, bottom, right, top)
 
 

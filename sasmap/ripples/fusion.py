@@ -1,8 +1,8 @@
 """Looks at a cell combined: what the survey knows of its law and altitudes, and every pass.
 
-Each look's posterior of (f, A_H, azimuth) under the survey's law is a Gaussian mixture. What a cell
+What a look tells of (f, A_H, azimuth) under the survey's law is a Gaussian mixture. What a cell
 knows after several looks is the product of theirs, each widened by a scatter for change and
-misregistration and freed of the prior that it shares with the others (Zare and Cobb 2013, 4.2; the
+misregistration and freed of the prior, which is multiplied once (Zare and Cobb 2013, 4.2; the
 posterior after one look is the prior of the next). A product knows no order. It is averaged over
 the posterior of what the survey shares. Looks that no common value explains are kept apart: the
 largest group that agrees stands for the cell.
@@ -13,7 +13,7 @@ The published method hands a Gaussian of hand-set width from look to look instea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -32,13 +32,17 @@ from sasmap.ripples.looks import (
     law_factor,
     multiplied,
     normalised,
+    placed,
+    steepness_factor,
+    strayed,
 )
 from sasmap.ripples.mixture import Marginal, marginals
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import Prior
+from sasmap.ripples.registration import Moves, left_over, registration
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
-from sasmap.ripples.survey import MOST_KEPT, SurveyModel, learn, settled, with_priors
+from sasmap.ripples.survey import MOST_KEPT, SurveyModel, learn, settled, with_prior
 
 FloatArray = NDArray[np.float64]
 
@@ -51,6 +55,8 @@ LIMIT = 17.7
 MOST_TRIED = 10
 # Components of less than this weight do not speak for a look.
 SLIGHT = 0.02
+# Components of less than this weight do not count in a cell's estimate.
+NEGLIGIBLE = 1e-4
 # Cells that are combined at once: what bounds memory.
 CHUNK = 500
 
@@ -98,12 +104,15 @@ class FusedCell:
     final : CellEstimate
     migration : tuple of (float, float)
         How far the crests of each look lie from those of the first of the group, m along the
-        azimuth from 0 to 180 degrees, and its standard deviation; known up to whole wavelengths.
-        NaN for looks outside the group.
+        azimuth from 0 to 180 degrees, and its standard deviation; known up to whole wavelengths,
+        the passes' registration taken off. NaN for looks outside the group.
     quality : Quality
     qualities : tuple of Quality
         Of each look; one that disagrees with the cell's group, and all where no majority agrees,
         contradict each other.
+    registration : tuple of (float, float)
+        How far each pass is shifted over the map, east and north, m, as the crests of all cells
+        tell; empty where they do not agree on any shift.
     """
 
     priors: tuple[CellEstimate, ...]
@@ -114,6 +123,7 @@ class FusedCell:
     migration: tuple[tuple[float, float], ...]
     quality: Quality
     qualities: tuple[Quality, ...]
+    registration: tuple[tuple[float, float], ...] = ()
 
 
 def learn_survey(
@@ -133,9 +143,9 @@ def learn_survey(
     SurveyModel
     """
     swaths = max((len(c) for c in cells), default=0)
-    looks = None if settings.method == "zare-cobb" else gather(cells)
+    looks = None if settings.method == "zare-cobb" else gather(cells, _steepness(settings))
     scatter = None if settings.scatter is None else np.array(settings.scatter, float)
-    return learn(looks, swaths, scatter, _steepness(settings), seed)
+    return learn(looks, swaths, scatter, seed)
 
 
 def fuse(
@@ -169,19 +179,56 @@ def fuse_cells(
     if settings.method == "zare-cobb":
         return [_published(summaries, settings) for summaries in cells]
     survey = survey or learn_survey(cells, settings)
-    fused: list[FusedCell] = []
+    # cells whose looks have as many components go together, so that little is filled up
+    size = [max((len(s.mixture) for s in c if s is not None), default=0) for c in cells]
+    order = np.argsort(size, kind="stable")
+    found: dict[int, FusedCell] = {}
     for first in range(0, len(cells), CHUNK):
-        fused += _fused(cells[first : first + CHUNK], settings, survey)
-    return fused
+        part = [int(i) for i in order[first : first + CHUNK]]
+        found.update(zip(part, _fused([cells[i] for i in part], settings, survey), strict=True))
+    return _registered([found[i] for i in range(len(cells))])
+
+
+def _registered(fused: list[FusedCell]) -> list[FusedCell]:
+    """Tell shifts of passes, which all cells share, from the migration of crests."""
+    places = [
+        (i, k)
+        for i, c in enumerate(fused)
+        for k in c.group[1:]
+        if np.isfinite(c.migration[k][0]) and np.isfinite(c.final.azimuth[0])
+    ]
+    if not places:
+        return fused
+    turn = np.radians([fused[i].final.azimuth[0] for i, _ in places])
+    moved = np.array([fused[i].migration[k] for i, k in places])
+    moves = Moves(
+        np.array([fused[i].group[0] for i, _ in places]),
+        np.array([k for _, k in places]),
+        moved[:, 0],
+        moved[:, 1],
+        1 / np.array([fused[i].final.mean[0] for i, _ in places]),
+        np.column_stack([np.sin(turn), np.cos(turn)]),
+    )
+    shifts = registration(moves, max(len(c.migration) for c in fused))
+    if not shifts.any():
+        return fused
+    left = [list(c.migration) for c in fused]
+    for (i, k), rest, sd in zip(places, left_over(moves, shifts), moves.sd, strict=True):
+        left[i][k] = float(rest), float(sd)
+    told = tuple((float(east), float(north)) for east, north in shifts)
+    return [
+        replace(c, migration=tuple(own), registration=told)
+        for c, own in zip(fused, left, strict=True)
+    ]
 
 
 def _fused(
     cells: Sequence[Sequence[Summary | None]], settings: RippleSettings, survey: SurveyModel
 ) -> list[FusedCell]:
-    looks = gather(cells)
+    looks = gather(cells, _steepness(settings))
     if looks is None:
         return [_assembled(s, (), {}, {}) for s in cells]
-    distances, spreads = _judged(looks, survey, len(cells))
+    distances, spreads = _judged(looks, survey, settings, len(cells))
     groups = [_agreeing(d, s) for d, s in zip(distances, spreads, strict=True)]
     known = _products(looks, survey, groups, settings)
     return [
@@ -279,7 +326,7 @@ def migrations(
 
 
 def _judged(
-    looks: Looks, survey: SurveyModel, cells: int
+    looks: Looks, survey: SurveyModel, settings: RippleSettings, cells: int
 ) -> tuple[list[dict[tuple[int, int], float]], list[dict[int, float]]]:
     """Squared distance of each pair of looks at a cell, and the log volume of each look.
 
@@ -288,9 +335,11 @@ def _judged(
     """
     middle = survey.middle
     scatter = np.broadcast_to(middle.scatter, (looks.cell.size, 3))
-    plain, factor = (at_height(looks, middle, s) for s in (0 * scatter, scatter))
+    there = placed(looks, middle)
+    plain, factor = (strayed(there, middle, s) for s in (0 * scatter, scatter))
     prior = law_factor(survey.widest, looks.with_law)
-    single = normalised(Information(*(a + b for a, b in zip(plain, prior, strict=True))))
+    prior = with_prior(prior, steepness_factor(factor.push.shape[-1], _steepness(settings)))
+    single = normalised(with_prior(plain, prior))
     heavy = single[0] - single[0].max(axis=1, keepdims=True) > np.log(SLIGHT)
     volume = np.linalg.slogdet(single[2][..., :3, :3])[1]
     volume = np.where(heavy, volume, -np.inf).max(axis=1)
@@ -428,7 +477,8 @@ def _after_each(
     of their cells after it.
     """
     factor = at_height(looks, shared, np.where(several, shared.scatter, 0.0))
-    steepness = _steepness(settings)
+    law = law_factor(shared, looks.with_law)
+    prior = with_prior(law, steepness_factor(factor.push.shape[-1], _steepness(settings)))
     cells, size = int(looks.cell.max()) + 1, factor.push.shape[-1]
     state = Information(
         np.full((cells, MOST_KEPT), -np.inf),
@@ -444,7 +494,7 @@ def _after_each(
             total = Information(*(v[some] for v in factor))
             if some.size and count[here[0]]:
                 total = multiplied(Information(*(v[here] for v in state)), total)
-            _, total = settled(total, shared, steepness, count[here])
+            _, total = settled(total, prior)
             n = total.level.shape[1]
             for kept, new in zip(state, total, strict=True):
                 kept[here, :n] = new
@@ -452,9 +502,7 @@ def _after_each(
         if rows.size:
             here = looks.cell[rows]
             total = Information(*(v[here] for v in state))
-            weight, mean, covariance = normalised(
-                with_priors(total, shared, steepness, count[here] - 1)
-            )
+            weight, mean, covariance = normalised(with_prior(total, prior))
             weight = weight - logsumexp(weight, axis=1, keepdims=True)
             result[int(k)] = (rows, weight, mean[..., :3], covariance[..., :3, :3])
     return result
@@ -477,8 +525,16 @@ def estimates(
     -------
     list of CellEstimate
     """
-    weight = np.exp(level)
+    weight = np.exp(level - level.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
+    # what counts for nothing is left out
+    weight[weight < NEGLIGIBLE] = 0.0
+    last = int((weight > 0).sum(axis=1).max())
+    heavy = np.argsort(-weight, axis=1, kind="stable")[:, :last]
+    weight = np.take_along_axis(weight, heavy, 1)
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = np.take_along_axis(mean, heavy[..., None], 1)
+    covariance = np.take_along_axis(covariance, heavy[..., None, None], 1)
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])

@@ -5,6 +5,11 @@ A_H makes to first order, the azimuth, and the exponent n and concentration c of
 An image tells the contrast; A_H follows from it by way of the law. Looks are kept as likelihoods in
 information form (precision and its product with the mean), the prior that they were sampled under
 taken off, so that those that share a cell or a law are multiplied by adding.
+
+A look tells the law in two ways. Where A_H is known by geometry (shadow), contrast tells the law's
+slope. Where it is not, only the pulse's shape is left, its overtones: the law's bend, of which the
+family has none of its own. A law outside the family shifts what all those looks tell alike; that
+shift is one more thing that a survey's looks share.
 """
 
 from __future__ import annotations
@@ -14,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
@@ -26,9 +32,17 @@ LAW_MEAN = np.array([EXPONENT[0], CONCENTRATION[0]])
 LAW_VARIANCE = np.array([EXPONENT[1], CONCENTRATION[1]]) ** 2
 # Least share of the variance of log contrast that remains when altitude is told.
 REMAINING = 0.1
+# By how much n and c that the pulse's shape tells are wrong where the law is outside the family, in
+# the survey and once more in each look: a law with a critical angle shifts n by -0.7. How far the
+# law at one angle is from that over all angles, of log contrast (pipelines/ripples/surveys.py).
+SHIFT_SD, LOCAL_LAW = np.array([0.8, 0.5]), 0.05
+# How closely log contrast follows the law: below the first the law is known by the pulse's shape,
+# above the second by geometry. Looks without shadow have 0.05 to 0.5, those with shadow 0.8 to 1.1
+# (pipelines/ripples/surveys.py).
+LEAST_KNOWN, MOST_KNOWN = 0.5, 0.8
 LOG_F, LOG_HEIGHT, AZIMUTH, LAW = 0, 1, 2, slice(3, 5)
-# Stands for no scatter.
-NONE = 1e-12
+# Stands for no scatter; log evidence of what cannot be.
+NONE, LEAST_LEVEL = 1e-12, -1e9
 
 
 class Shared(NamedTuple):
@@ -38,6 +52,8 @@ class Shared(NamedTuple):
     ----------
     law, spread : ndarray (2,)
         Mean of n and c, and their standard deviations from look to look.
+    shift : ndarray (2,)
+        n and c that the pulse's shape tells less those that its contrast goes by.
     offset : ndarray (swaths,)
         True altitude less that of the navigation, m.
     scatter : ndarray (3,)
@@ -50,6 +66,7 @@ class Shared(NamedTuple):
 
     law: FloatArray
     spread: FloatArray
+    shift: FloatArray
     offset: FloatArray
     scatter: FloatArray
     of_look: float
@@ -70,6 +87,23 @@ class Information(NamedTuple):
     precision: FloatArray
 
 
+class LawTold(NamedTuple):
+    """What looks tell of their law when f, contrast and azimuth are left open.
+
+    Attributes
+    ----------
+    level, push, precision : ndarray (N, K), (N, K, 2), (N, K, 2, 2)
+        As :class:`Information`, of n and c.
+    by_shape : ndarray (N,)
+        1 where it is the pulse's shape that tells it, 0 where geometry tells A_H and so the law.
+    """
+
+    level: FloatArray
+    push: FloatArray
+    precision: FloatArray
+    by_shape: FloatArray
+
+
 class Looks(NamedTuple):
     """Looks at cells: N of them, of K components each (padded with level minus infinity).
 
@@ -79,8 +113,8 @@ class Looks(NamedTuple):
     factor : Information (N, K)
         Likelihood over log f, log contrast, azimuth (degrees), n and c; where the law is fixed,
         over log f, log A_H and azimuth.
-    law_mean, law_variance : ndarray (N, K, 2), (N, K, 2, 2)
-        Of the components under the sampling prior; empty where the law is fixed.
+    law : LawTold or None
+        None where the law is fixed.
     tangent, altitude : ndarray (N,)
         Of the grazing angle, and of the sonar, m, at the clip's middle.
     altitude_gain : ndarray (N,)
@@ -92,8 +126,7 @@ class Looks(NamedTuple):
     cell: NDArray[np.int64]
     swath: NDArray[np.int64]
     factor: Information
-    law_mean: FloatArray
-    law_variance: FloatArray
+    law: LawTold | None
     tangent: FloatArray
     altitude: FloatArray
     altitude_gain: FloatArray
@@ -102,22 +135,28 @@ class Looks(NamedTuple):
     @property
     def with_law(self) -> bool:
         """Whether the law is part of the looks' posteriors."""
-        return bool(self.factor.push.shape[2] == 5)
+        return self.law is not None
 
     def some(self, which: NDArray[np.int64]) -> Looks:
         """Return some of the looks."""
         factor = Information(*(values[which] for values in self.factor))
-        rest = {name: getattr(self, name)[which] for name in self._fields if name != "factor"}
-        return Looks(factor=factor, **rest)
+        law = None if self.law is None else LawTold(*(values[which] for values in self.law))
+        rest = {n: getattr(self, n)[which] for n in self._fields if n not in ("factor", "law")}
+        return Looks(factor=factor, law=law, **rest)
 
 
-def gather(cells: Sequence[Sequence[Summary | None]]) -> Looks | None:
+def gather(
+    cells: Sequence[Sequence[Summary | None]], steepness: tuple[float, float]
+) -> Looks | None:
     """Lay the good looks at cells as arrays.
 
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
         Of each cell, one a swath.
+    steepness : tuple of float
+        Prior that they were sampled under: median and log standard deviation of crest to trough
+        over wavelength; infinite for none.
 
     Returns
     -------
@@ -147,12 +186,17 @@ def gather(cells: Sequence[Sequence[Summary | None]]) -> Looks | None:
     told = [(s.tangent, s.altitude, s.altitude_gain, s.altitude_sd) for _, _, s, _ in good]
     tangent, altitude, gain, sd = np.array(told, float).T
     covariance = _altitude_told(covariance, gain * sd / altitude)
+    factor = _likelihood(weight, mean, covariance, tangent, steepness)
+    law = None
+    if size == 5:
+        by_shape = _by_shape(weight, mean, covariance, tangent)
+        law = _law_told(factor, by_shape)
+        factor, law = _doubted(factor, law)
     return Looks(
         cell,
         swath,
-        _likelihood(weight, mean, covariance),
-        mean[:, :, LAW],
-        covariance[:, :, LAW, LAW],
+        factor,
+        law,
         tangent,
         altitude,
         gain,
@@ -179,18 +223,98 @@ def _altitude_told(covariance: FloatArray, sd: FloatArray) -> FloatArray:
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
 
 
-def _likelihood(weight: FloatArray, mean: FloatArray, covariance: FloatArray) -> Information:
-    """Posterior components over the law's prior."""
+def _likelihood(
+    weight: FloatArray,
+    mean: FloatArray,
+    covariance: FloatArray,
+    tangent: FloatArray,
+    steepness: tuple[float, float],
+) -> Information:
+    """Posterior components over the priors of law and steepness."""
     precision: FloatArray = np.asarray(np.linalg.inv(covariance), float)
     push = np.einsum("nkij,nkj->nki", precision, mean)
     with np.errstate(divide="ignore"):
         level = np.log(weight)
     level = level - 0.5 * (np.linalg.slogdet(covariance)[1] + (push * mean).sum(axis=-1))
+    natural = _steepness_of_looks(mean, tangent, steepness)
+    level, push, precision = (a - b for a, b in zip((level, push, precision), natural, strict=True))
     if mean.shape[2] == 5:
         precision[:, :, LAW, LAW] -= np.diag(1 / LAW_VARIANCE)
         push[:, :, LAW] -= LAW_MEAN / LAW_VARIANCE
         level += 0.5 * (LAW_MEAN**2 / LAW_VARIANCE + np.log(LAW_VARIANCE)).sum()
     return Information(level, push, precision)
+
+
+def _steepness_of_looks(
+    mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]
+) -> Information:
+    """Prior of steepness over the coordinates of looks, linear about their means (N, K, D)."""
+    median, sd = steepness
+    if not np.isfinite(sd):
+        return Information(np.zeros(mean.shape[:2]), 0 * mean, np.zeros((*mean.shape, 1)))
+    row = np.zeros(mean.shape)
+    row[..., [LOG_F, LOG_HEIGHT]] = 1.0
+    middle = np.full(mean.shape[:2], np.log(0.5 * median))
+    if mean.shape[2] == 5:
+        law = mean[..., LAW]
+        slopes = contrast_slopes(law, tangent[:, None])
+        row[..., LAW] = -slopes
+        middle += log_contrast(law, tangent[:, None]) - (slopes * law).sum(axis=-1)
+    return Information(
+        -0.5 * (middle / sd) ** 2 - np.log(sd),
+        (middle / sd**2)[..., None] * row,
+        row[..., :, None] * row[..., None, :] / sd**2,
+    )
+
+
+def _law_told(factor: Information, by_shape: FloatArray) -> LawTold:
+    """Integrate f, contrast and azimuth out of looks."""
+    rest = slice(0, LAW.start)
+    inner = factor.precision[..., rest, rest]
+    cross = factor.precision[..., rest, LAW]
+    right = np.concatenate([cross, factor.push[..., rest, None]], axis=-1)
+    solved = np.linalg.solve(inner, right)
+    precision = factor.precision[..., LAW, LAW] - np.swapaxes(cross, -1, -2) @ solved[..., :-1]
+    push = factor.push[..., LAW] - np.einsum("...ji,...j->...i", cross, solved[..., -1])
+    level = factor.level - 0.5 * np.linalg.slogdet(inner)[1]
+    level = level + 0.5 * (factor.push[..., rest] * solved[..., -1]).sum(axis=-1)
+    return LawTold(level, push, precision, by_shape)
+
+
+def _doubted(factor: Information, law: LawTold) -> tuple[Information, LawTold]:
+    """Blur what looks tell of the law by the pulse's shape, and a little what contrast tells."""
+    sd = np.maximum(law.by_shape[:, None] * SHIFT_SD, NONE)
+    blurred = widened(Information(*law[:3]), sd[:, None, :])
+    told = LawTold(*blurred, law.by_shape)
+    push, precision = factor.push.copy(), factor.precision.copy()
+    push[..., LAW] += told.push - law.push
+    precision[..., LAW, LAW] += told.precision - law.precision
+    some = np.isfinite(law.level)  # not what fills up
+    level = factor.level + np.subtract(told.level, law.level, where=some, out=np.zeros(some.shape))
+    error = np.full((len(sd), 1, 5), NONE)
+    error[..., LOG_HEIGHT] = np.maximum(LOCAL_LAW * law.by_shape[:, None], NONE)
+    return widened(Information(level, push, precision), error), told
+
+
+def _by_shape(
+    weight: FloatArray, mean: FloatArray, covariance: FloatArray, tangent: FloatArray
+) -> FloatArray:
+    """Tell which looks (N,) know the law by the pulse's shape alone.
+
+    Where geometry tells A_H, contrast follows the law as contrast per slope does; where nothing
+    does, contrast is known and does not follow the law.
+    """
+    centre = np.einsum("nk,nki->ni", weight, mean)
+    apart = mean - centre[:, None]
+    whole = np.einsum(
+        "nk,nkij->nij", weight, covariance + apart[..., :, None] * apart[..., None, :]
+    )
+    precision = np.linalg.inv(whole)
+    rest = slice(0, LAW.start)
+    follows = -np.linalg.solve(precision[:, rest, rest], precision[:, rest, LAW])[:, LOG_HEIGHT]
+    slopes = contrast_slopes(centre[:, LAW], tangent)
+    share = (follows * slopes).sum(axis=-1) / (slopes**2).sum(axis=-1)
+    return np.asarray(1 - np.clip((share - LEAST_KNOWN) / (MOST_KNOWN - LEAST_KNOWN), 0, 1))
 
 
 def at_height(looks: Looks, shared: Shared, scatter: FloatArray) -> Information:
@@ -208,34 +332,100 @@ def at_height(looks: Looks, shared: Shared, scatter: FloatArray) -> Information:
     Information (N, K)
         Over log f, log A_H, azimuth, n and c; without n and c where the law is fixed.
     """
+    return strayed(placed(looks, shared), shared, scatter)
+
+
+def placed(looks: Looks, shared: Shared) -> Information:
+    """Return looks as functions of A_H by the survey's law and altitudes, without scatter.
+
+    Parameters
+    ----------
+    looks : Looks
+    shared : Shared
+
+    Returns
+    -------
+    Information (N, K)
+        As :func:`at_height`.
+    """
     level, push, precision = looks.factor
     shift = looks.altitude_gain * shared.offset[looks.swath] / looks.altitude
     place = np.zeros(push.shape)
     place[:, :, LOG_HEIGHT] = -shift[:, None]
+    if looks.law is None:
+        return _moved(level, push, precision, place, None)
+    gain, told = _shape_corrected(looks.law, shared)
+    push = push.copy()
+    push[..., LAW] += told - looks.law.push
+    about = _law_of_looks(looks.law.precision, told, shared)
+    slopes = contrast_slopes(about, looks.tangent[:, None])
+    place[:, :, LOG_HEIGHT] += log_contrast(about, looks.tangent[:, None])
+    place[:, :, LOG_HEIGHT] -= (slopes * about).sum(axis=-1)
+    turn = np.broadcast_to(np.eye(5), precision.shape).copy()
+    turn[:, :, LOG_HEIGHT, LAW] = slopes
+    # log contrast and the rest are turn u + place
+    return _moved(level + gain, push, precision, place, turn)
+
+
+def strayed(factor: Information, shared: Shared, scatter: FloatArray) -> Information:
+    """Blur looks by how far they stray from their cell, f, A_H, azimuth and law.
+
+    Parameters
+    ----------
+    factor : Information (N, K)
+    shared : Shared
+    scatter : ndarray (N, 3)
+
+    Returns
+    -------
+    Information (N, K)
+    """
     wide = np.maximum(scatter, NONE)
-    if looks.with_law:
-        about = _law_of_looks(looks, shared)
-        slopes = contrast_slopes(about, looks.tangent[:, None])
-        place[:, :, LOG_HEIGHT] += log_contrast(about, looks.tangent[:, None])
-        place[:, :, LOG_HEIGHT] -= (slopes * about).sum(axis=-1)
-        turn = np.broadcast_to(np.eye(5), precision.shape).copy()
-        turn[:, :, LOG_HEIGHT, LAW] = slopes
-        # log contrast and the rest are turn u + place
-        level, push, precision = _moved(level, push, precision, place, turn)
+    if factor.push.shape[-1] == 5:
         of_look = np.sqrt(shared.of_look) * shared.spread
         wide = np.concatenate([wide, np.broadcast_to(of_look, (len(wide), 2))], axis=1)
-    else:
-        level, push, precision = _moved(level, push, precision, place, None)
-    return widened(Information(level, push, precision), wide[:, None, :])
+    return widened(factor, wide[:, None, :])
 
 
-def _law_of_looks(looks: Looks, shared: Shared) -> FloatArray:
-    """Mean law of each component (N, K, 2) where the survey's replaces the prior."""
-    gain = 1 / shared.spread**2 - 1 / LAW_VARIANCE
-    own = np.linalg.inv(looks.law_variance)
-    push = np.einsum("nkij,nkj->nki", own, looks.law_mean)
-    push += shared.law / shared.spread**2 - LAW_MEAN / LAW_VARIANCE
-    return np.asarray(np.linalg.solve(own + np.diag(gain), push[..., None])[..., 0])
+def evidence_of_law(law: LawTold, shared: Shared) -> FloatArray:
+    """Log evidence of looks at cells that no other look sees (N,): of their law alone.
+
+    Parameters
+    ----------
+    law : LawTold
+    shared : Shared
+
+    Returns
+    -------
+    ndarray (N,)
+    """
+    gain, told = _shape_corrected(law, shared)
+    weight = shared.spread**-2.0
+    both = law.precision + np.diag(weight)
+    push = told + weight * shared.law
+    determinant = both[..., 0, 0] * both[..., 1, 1] - both[..., 0, 1] * both[..., 1, 0]
+    square = both[..., 1, 1] * push[..., 0] ** 2 + both[..., 0, 0] * push[..., 1] ** 2
+    square = square - 2 * both[..., 0, 1] * push[..., 0] * push[..., 1]
+    possible = (determinant > 0) & (both[..., 0, 0] > 0)
+    determinant = np.where(possible, determinant, 1.0)
+    level = law.level + gain + 0.5 * (square / determinant - np.log(determinant))
+    level += 0.5 * (np.log(weight) - weight * shared.law**2).sum()
+    return np.asarray(logsumexp(np.where(possible, level, LEAST_LEVEL), axis=1))
+
+
+def _shape_corrected(law: LawTold, shared: Shared) -> tuple[FloatArray, FloatArray]:
+    """Take the shift off what shape tells: change of the level (N, K), and new push (N, K, 2)."""
+    shift = law.by_shape[:, None, None] * shared.shift
+    pulled = np.einsum("nkij,nkj->nki", law.precision, shift)
+    return (shift * (law.push - 0.5 * pulled)).sum(axis=-1), law.push - pulled
+
+
+def _law_of_looks(precision: FloatArray, push: FloatArray, shared: Shared) -> FloatArray:
+    """Mean law of each component (N, K, 2) under the survey's."""
+    gain = np.diag(shared.spread**-2.0)
+    return np.asarray(
+        np.linalg.solve(precision + gain, (push + gain @ shared.law)[..., None])[..., 0]
+    )
 
 
 def _moved(

@@ -28,30 +28,38 @@ DARK_SKEW = (-0.5, -0.2)
 # Share of a clip that a thing's waves cover at most, and surely; level (of the clip's) of shadow;
 # weights of brightness and of shadow. Of simulated wrecks: 1.2 to 1.6 times as bright as the floor,
 # 1 to 8 % of the clip in shadow, 3 to 13 % of it covered; ripples are 0.96 to 1.05 times as bright.
-LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 8.0, 28.0
+LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 14.0, 55.0
+# Pixels a side of the boxes that tell how an image was compressed, standard deviation of Rayleigh
+# speckle over its mean, and the least power that is believed.
+SPECKLED, RAYLEIGH, LEAST_POWER = 8, 0.523, 0.3
 
 
-class Look(NamedTuple):
-    """What a wave looks like in a clip.
+class Extents(NamedTuple):
+    """Over how many wavelengths a wave extends.
 
     Attributes
     ----------
-    extent : float
-        Wavelengths along its normal that it extends over.
-    contrast : float
-        Of the amplitude, where the wave is.
-    lines : float
-        How far its crests are thin bright lines with wide gaps: excess kurtosis of the profile
-        across them (-1.5 for a sine, 0 for crests of a fifth of a wave, positive for lines).
+    normal, crests : float
+        Along its normal, and along its crests.
+    room : float
+        What there is to extend over along the normal, over that along the crests.
     """
 
-    extent: float
-    contrast: float
-    lines: float
+    normal: float
+    crests: float
+    room: float
 
 
-def look_at(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Look:
-    """Tell what a wave looks like in a clip, or in a part of it.
+def _width(shape: tuple[int, ...], wave: tuple[float, float]) -> float:
+    return max(1 / float(np.hypot(*wave)), STRIP * max(shape))
+
+
+def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extents:
+    """Tell how far a wave's energy extends in a clip, or in a part of it: participation ratios.
+
+    Mean over strips along the normal (and over wavelengths, along the crests), by their energy: a
+    boundary crosses each strip once. Coherent sums over boxes a wavelength long and a strip wide,
+    less what speckle leaves in them.
 
     Parameters
     ----------
@@ -63,55 +71,68 @@ def look_at(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Look:
 
     Returns
     -------
-    Look
+    Extents
     """
-    variance = float((flat[valid] ** 2).mean())
     wave = float(per_pixel[0]), float(per_pixel[1])
-    extent = _extent(flat, valid, wave)
-    contrast = _contrast(flat, valid, wave, variance)
-    return Look(extent, contrast, _lines(flat, valid, wave, variance))
-
-
-def _width(shape: tuple[int, ...], wave: tuple[float, float]) -> float:
-    return max(1 / float(np.hypot(*wave)), STRIP * max(shape))
-
-
-def _extent(flat: FloatArray, valid: BoolArray, wave: tuple[float, float]) -> float:
-    """Wavelengths along its normal over which a wave's energy extends: a participation ratio.
-
-    Mean over strips along the normal, by their energy: a boundary crosses each strip once.
-    Coherent sums over boxes a wavelength long and a strip wide, less what speckle leaves in them.
-    """
-    turned, noise, count = wave_boxes(flat, valid, *wave, _width(flat.shape, wave))
+    width = _width(flat.shape, wave)
+    turned, noise, count = wave_boxes(flat, valid, *wave, width)
     full = count > 0.5 * np.quantile(count[count > 0], 0.9)
     mean_noise = noise.sum() / max(count.sum(), 1.0)
     # a box of one bright thing weighs no more than the rest
     excess = np.abs(turned) ** 2 - np.maximum(noise, mean_noise * count)
     energy = np.maximum(np.where(full, excess / np.maximum(count, 1.0), 0.0), 0.0)
-    strip, square = energy.sum(axis=0), (energy**2).sum(axis=0)
+    wide = width * float(np.hypot(*wave))
+    room = full.any(axis=1).sum() / (full.any(axis=0).sum() * wide)
+    return Extents(_participation(energy, 0), _participation(energy, 1) * wide, float(room))
+
+
+def _participation(energy: FloatArray, axis: int) -> float:
+    """Boxes along an axis that energy is spread over, a mean by energy."""
+    line, square = energy.sum(axis=axis), (energy**2).sum(axis=axis)
     if not square.max() > 0:
         return 0.0
-    ratio = strip**2 / np.where(square > 0, square, 1.0)
-    return float((strip * ratio).sum() / strip.sum())
+    ratio = line**2 / np.where(square > 0, square, 1.0)
+    return float((line * ratio).sum() / line.sum())
 
 
-def _contrast(
-    flat: FloatArray, valid: BoolArray, wave: tuple[float, float], variance: float
-) -> float:
-    """Amplitude of a wave where it is: mean over boxes a wavelength a side, by their energy."""
-    size = max(round(1 / float(np.hypot(*wave))), 2)
-    turned, count = box_sums(flat, valid, *wave, size)
+def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
+    """Amplitude of a wave where it is: mean over boxes a wavelength a side, by their energy.
+
+    Parameters
+    ----------
+    flat, valid, per_pixel
+        As of :func:`extents`.
+
+    Returns
+    -------
+    float
+    """
+    size = max(round(1 / float(np.hypot(*per_pixel))), 2)
+    turned, count = box_sums(flat, valid, float(per_pixel[0]), float(per_pixel[1]), size)
     full = count > 0.4 * size * size
+    variance = float((flat**2).sum()) / max(int(valid.sum()), 1)
     energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - variance, 0.0)
     total = float(energy.sum())
     return 2 * float(np.sqrt((energy**2).sum() / total)) / size if total > 0 else 0.0
 
 
-def _lines(flat: FloatArray, valid: BoolArray, wave: tuple[float, float], variance: float) -> float:
-    """Excess kurtosis of profiles across crests; speckle, averaged, gives them none.
+def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
+    """Tell how far crests are thin bright lines with wide gaps.
 
-    Thin dark lines are the shadows of low ripples: they count for nothing.
+    Parameters
+    ----------
+    flat, valid, per_pixel
+        As of :func:`extents`.
+
+    Returns
+    -------
+    float
+        Excess kurtosis of profiles across the crests: -1.5 of a sine, 0 of crests of a fifth of a
+        wave, positive of lines. Speckle, averaged, gives none; thin dark lines are the shadows of
+        low ripples and count for nothing.
     """
+    wave = float(per_pixel[0]), float(per_pixel[1])
+    variance = float((flat**2).sum()) / max(int(valid.sum()), 1)
     length = 1 / float(np.hypot(*wave))
     parts = FINE if length > LONG_ENOUGH else max(int(length / 2), 2)
     total, count = profile_boxes(flat, valid, *wave, parts, _width(flat.shape, wave))
@@ -162,7 +183,24 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
     share = float(energy.sum() ** 2 / (energy.size * (energy**2).sum()))
     weight = np.sqrt(energy)
     around = max(float(np.median(level[energy <= np.median(energy)])), 1e-9)
-    bright = float((weight * level).sum() / weight.sum()) / around - 1
+    level = (np.maximum(level, 0) / around) ** (1 / _compression(flat, valid))
+    bright = float((weight * level).sum() / weight.sum()) - 1
     dark = float((level < DARK * np.median(level)).mean())
     small = float(np.clip((LARGE - share) / (LARGE - SMALL), 0, 1))
     return small * (BRIGHT * max(bright, 0.0) + SHADED * dark)
+
+
+def _compression(flat: FloatArray, valid: BoolArray) -> float:
+    """Power of the amplitude that a clip shows: below 1 where it was scaled for display.
+
+    Tells by the speckle of small boxes, which has a standard deviation of 0.52 of its mean.
+    """
+    mean, count = box_sums(flat, valid, 0.0, 0.0, SPECKLED)
+    square = box_sums(flat**2, valid, 0.0, 0.0, SPECKLED)[0].real
+    full = count > 0.5 * SPECKLED**2
+    if not full.any():
+        return 1.0
+    level = mean[full].real / count[full]
+    variance = square[full] / count[full] - level**2
+    spread = float(np.median(np.sqrt(np.maximum(variance, 0)) / np.maximum(1 + level, 0.05)))
+    return float(np.clip(spread / RAYLEIGH, LEAST_POWER, 1.0))

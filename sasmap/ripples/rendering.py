@@ -41,10 +41,13 @@ GAIN_TOLD = 1e-4
 NODES = 512
 SINES = np.maximum(np.arange(NODES), 0.1) / (NODES - 1.0)
 LOG_SINES, OFFSETS = np.log(SINES), (np.arcsin(SINES) - 0.5 * np.pi) ** 2
+# Third harmonic of the crest profile over the square of the asymmetry: 1/2 in sin(x + a sin(x)),
+# 4/3 in a sawtooth. Stokes's second-order and the peaked profile have none.
+BOUND = 0.75
 # Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and the
 # largest that are tried: 0 is a sine, 0.25 in phase with the crest the peaked profile
 # 2((1 + sin)/2)^2 - 1, and beyond 0.4 a second crest grows in the trough.
-PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.15), 0.4
+PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.2), 0.4
 # Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
 # c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
 # (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
@@ -75,7 +78,8 @@ class Parameters(NamedTuple):
     exponent, concentration : float
         n and c of the scattering law, intensity sin^n(theta) exp(-c (theta - pi/2)^2).
     peakedness, asymmetry : float
-        p and q of the profile sin(x) - p cos(2x) - q sin(2x), scaled to a half range of 1.
+        p and q of the profile sin(x) - p cos(2x) - q sin(2x) + 3/4 q^2 sin(3x), scaled to a half
+        range of 1.
     noise, noise_slope : float
         Noise floor over the clip's mean intensity at mean range, and its power of range.
     blur : float
@@ -291,6 +295,7 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
 def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore[no-untyped-def]
     """Crest profile over A_H, of mean 0, and its derivative by phase, at the middles of facets."""
     n = heights.size
+    sine3, cosine3 = third[0] + BOUND * asymmetry * asymmetry, third[1]
     least, most = np.inf, -np.inf
     half = np.pi / n
     turn = np.cos(2.0 * half), np.sin(2.0 * half)
@@ -298,9 +303,9 @@ def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore
     for i in range(n):
         c2, s2 = c * c - s * s, 2.0 * s * c
         c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
-        heights[i] = s - peakedness * c2 - asymmetry * s2 + third[0] * s3 + third[1] * c3
+        heights[i] = s - peakedness * c2 - asymmetry * s2 + sine3 * s3 + cosine3 * c3
         slopes[i] = c + 2.0 * peakedness * s2 - 2.0 * asymmetry * c2
-        slopes[i] += 3.0 * (third[0] * c3 - third[1] * s3)
+        slopes[i] += 3.0 * (sine3 * c3 - cosine3 * s3)
         least, most = min(least, heights[i]), max(most, heights[i])
         c, s = c * turn[0] - s * turn[1], s * turn[0] + c * turn[1]
     scale = 2.0 / (most - least)

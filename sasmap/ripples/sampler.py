@@ -33,10 +33,10 @@ LOCAL_STEP = 1.7
 # Share and width of a component as wide as all of a proposal, that bounds how far it can fall short
 # of the density; burn-in's rounds and their steps; accepted share and log of the density over the
 # proposal's at which they end, that over its median (pipelines/ripples/coherent.py).
-DEFENSIVE, WIDE = 0.2, 1.6
+DEFENSIVE, WIDE = 0.15, 2.2
 ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 16, 0.3, 3.5
 # Draws a chain of a first round, and after which a proposal is learned once more.
-ROUND, RELEARN = 300, 900
+ROUND, RELEARN = 300, 1800
 # Steps of a chain that propose anew, to one local step.
 LOCAL = 2
 # Rounds of a mixture's fit, and the gain in mean log likelihood at which it ends.

@@ -44,6 +44,11 @@ class RippleSettings(BaseModel):
         "published model; lambert, or {exponent: n}: intensity follows the sine of the local "
         "grazing angle to the power 2, or n",
     )
+    overlap: Annotated[FiniteFloat, Field(ge=0, le=0.9)] = Field(
+        0.0,
+        description="of neighbouring cells, a fraction of the window: 0.5 estimates them every "
+        "half window, from a whole window each",
+    )
     scatter: tuple[NotNegative, NotNegative, NotNegative] | None = Field(
         None,
         description="change and misregistration between passes, standard deviations: of f and A_H "

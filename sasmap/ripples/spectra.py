@@ -10,30 +10,30 @@ lines and objects as much at shorter ones.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft2
-from scipy.ndimage import maximum_filter
-
-from sasmap.ripples.image import Image
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+Part = tuple[slice, slice]
 
 # A clip must hold this many wavelengths, and a wavelength this many pixels, to show a ripple.
 MIN_WAVES = 3.5
 MIN_PIXELS = 4.0
-# Larger amplitudes than this many times their trend count as this.
-CAP = 3.5
 # Cells of wave vectors: directions in half a turn, and cells an octave of wavelength.
 DIRECTIONS, OCTAVE = 15, 4
 # Directions from a peak on (of 12 degrees) and cells of wavelength (quarter octaves) that tell what
 # power is there without it: beyond the reach of a peak whose crests fork every few wavelengths.
 ASIDE, LONGER, SHORTER = 4, (4, 7), (-4, -2)
+# Cells of wavelength and of direction that a wave whose crests bend reaches to either side.
+REACH = (2.0, 2.0)
 # Zeros added to a side of the image, over its length, and variance of a bin's power that the taper
 # and they leave: independent bins over bins.
 PADDING, INDEPENDENT = 1.3, 1.5
@@ -56,26 +56,91 @@ MOST_PEAKS = 6
 WORTH, MIN_VALID, NEARLY, SPANS = 6.0, 0.4, 0.85, (0.3, 0.5)
 
 
+class Table(NamedTuple):
+    """Power of cells of wave vectors of parts of one shape, (parts, wavelengths, directions) each.
+
+    Attributes
+    ----------
+    level : ndarray
+        Mean power around each cell, over the variance of white noise.
+    bins : ndarray
+        Independent bins that it rests on.
+    aside, longer, shorter : ndarray
+        Mean power at other directions, longer and shorter waves.
+    narrow : ndarray
+        Highest bin around each cell.
+    power : list of ndarray
+        The transforms'.
+    full : tuple of int
+        Their size.
+    """
+
+    level: FloatArray
+    bins: FloatArray
+    aside: FloatArray
+    longer: FloatArray
+    shorter: FloatArray
+    narrow: FloatArray
+    power: list[NDArray[np.float32]]
+    full: tuple[int, int]
+
+
+def taper(count: int) -> FloatArray:
+    """Return the sine taper of a side of so many pixels."""
+    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count))
+
+
+@lru_cache(maxsize=64)
+def _ring(steps: tuple[tuple[int, float], ...]) -> FloatArray:
+    """Matrix (directions, directions) that sums a table over directions, which go round."""
+    return np.asarray(sum(w * np.roll(np.eye(DIRECTIONS), k, axis=1) for k, w in steps))
+
+
+@lru_cache(maxsize=64)
+def _ladder(lengths: int, steps: tuple[tuple[int, float], ...]) -> FloatArray:
+    """Matrix (lengths, lengths) that sums a table over wavelengths, weighted."""
+    return np.asarray(sum(w * np.eye(lengths, k=k) for k, w in steps))
+
+
+def _all(first: int, last: int) -> tuple[tuple[int, float], ...]:
+    return tuple((k, 1.0) for k in range(first, last))
+
+
+# Sums over the cells beside each and itself: neighbours by half, directions near by, and aside.
+_SOFT = ((-1, 0.5), (0, 1.0), (1, 0.5))
+_NEAR, _ASIDE = _all(-1, 2), _all(ASIDE, DIRECTIONS - ASIDE + 1)
+
+
+def _mean(values: FloatArray, count: FloatArray) -> FloatArray:
+    return np.asarray(values / np.maximum(count, 1e-9))
+
+
+def _highest_around(values: FloatArray) -> FloatArray:
+    """Highest of three by three cells; directions go round."""
+    wide = np.maximum(np.maximum(values, np.roll(values, 1, -1)), np.roll(values, -1, -1))
+    tall = wide.copy()
+    np.maximum(tall[..., 1:, :], wide[..., :-1, :], out=tall[..., 1:, :])
+    np.maximum(tall[..., :-1, :], wide[..., 1:, :], out=tall[..., :-1, :])
+    return tall
+
+
 @dataclass(frozen=True)
 class Cells:
     """Cells of wave vectors of a transform of a given shape.
 
     Attributes
     ----------
-    order : ndarray (bins,)
-        Places of the bins of the half plane in the transform, cell by cell.
-    first : ndarray (cells,)
-        Where each filled cell begins in `order`.
-    filled : ndarray (cells,)
-        Its place among all cells (wavelengths x directions).
+    number : ndarray of int
+        Cell of each bin of the transform, -1 of none.
     count : ndarray (wavelengths, directions)
         Bins.
+    around : ndarray (wavelengths, directions)
+        Bins of the cells around each, its neighbours' by half.
     """
 
-    order: NDArray[np.int64]
-    first: NDArray[np.int64]
-    filled: NDArray[np.int64]
+    number: NDArray[np.int32]
     count: FloatArray
+    around: FloatArray
 
 
 @lru_cache(maxsize=16)
@@ -89,176 +154,88 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
     lengths = int(np.ceil(np.log2(1.3 * max(shape) / MIN_PIXELS) * OCTAVE))
     used = (number >= 0) & (number < lengths)
     used[full[0] // 2 + 1 :, 0] = False  # the mirror image of the other half of this column
-    cell = (number * DIRECTIONS + direction)[used]
-    by_cell = np.argsort(cell, kind="stable")
-    filled, first = np.unique(cell[by_cell], return_index=True)
-    count = np.bincount(cell, minlength=lengths * DIRECTIONS).reshape(lengths, DIRECTIONS)
-    return Cells(np.flatnonzero(used)[by_cell], first, filled, count.astype(float))
+    cell = np.where(used, number * DIRECTIONS + direction, -1).astype(np.int32)
+    counted = np.bincount(cell[used], minlength=lengths * DIRECTIONS)
+    count = counted.reshape(lengths, DIRECTIONS).astype(float)
+    return Cells(cell, count, _ladder(lengths, _SOFT) @ count @ _ring(_SOFT))
 
 
-class Table(NamedTuple):
-    """Power of cells of wave vectors, (wavelengths, directions) each.
-
-    Attributes
-    ----------
-    level : ndarray
-        Mean power around each cell, over the variance of white noise.
-    bins : ndarray
-        Independent bins that it rests on.
-    aside, longer, shorter : ndarray
-        Mean power at other directions, longer and shorter waves.
-    narrow : ndarray
-        Highest bin around each cell.
-    power : ndarray
-        The transform's.
-    full : tuple of int
-        Its size.
-    """
-
-    level: FloatArray
-    bins: FloatArray
-    aside: FloatArray
-    longer: FloatArray
-    shorter: FloatArray
-    narrow: FloatArray
-    power: FloatArray
-    full: tuple[int, int]
-
-
-def taper(count: int) -> FloatArray:
-    """Return the sine taper of a side of so many pixels."""
-    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count))
-
-
-def _around(values: FloatArray) -> FloatArray:
-    """Sum over three by three cells, half of the neighbours'; directions go round."""
-    tall = np.pad(values, ((1, 1), (0, 0)))
-    tall = 0.5 * tall[:-2] + tall[1:-1] + 0.5 * tall[2:]
-    return np.asarray(0.5 * np.roll(tall, 1, 1) + tall + 0.5 * np.roll(tall, -1, 1))
-
-
-def _turned(values: FloatArray, steps: range) -> FloatArray:
-    """Sum over cells at other directions."""
-    return np.asarray(sum(np.roll(values, step, axis=1) for step in steps))
-
-
-def _shifted(values: FloatArray, steps: range) -> FloatArray:
-    """Sum over cells at other wavelengths."""
-    reach = max(abs(s) for s in steps)
-    tall = np.pad(values, ((reach, reach), (0, 0)))
-    rows = len(values)
-    return np.asarray(sum(tall[reach + s : reach + s + rows] for s in steps))
-
-
-def _mean(values: FloatArray, count: FloatArray) -> FloatArray:
-    return np.asarray(values / np.maximum(count, 1e-9))
-
-
-def _power(flat: FloatArray, valid: BoolArray) -> FloatArray:
-    """Power of a tapered image's transform, zeros added, over the variance of white noise."""
+def _transform(flat: FloatArray, valid: BoolArray, full: tuple[int, int]) -> NDArray[np.complex64]:
+    """Transform a tapered image, zeros added; its squares are over the variance of white noise."""
     rows, columns = (taper(n) for n in flat.shape)
-    full = [next_fast_len(int(PADDING * n), True) for n in flat.shape]
+    pixels = float((rows**2) @ (valid @ (columns**2)))
+    rows = rows / np.sqrt(max(pixels, 1e-9))
     tapered = (flat * rows[:, None] * columns).astype(np.float32)
-    pixels = float((rows**2) @ valid @ (columns**2))
-    return np.asarray(np.abs(rfft2(tapered, full)) ** 2 / max(pixels, 1e-9))
+    return np.asarray(rfft2(tapered, full))
 
 
-def _table(flat: FloatArray, valid: BoolArray) -> Table:
-    """Transform a clip, or a part of one, and sum its power over cells."""
-    full = tuple(next_fast_len(int(PADDING * n), True) for n in flat.shape)
-    power = _power(flat, valid)
-    cells = _cells((flat.shape[0], flat.shape[1]), (full[0], full[1]))
-    by_cell = power.ravel()[cells.order]
-    total, highest = (np.zeros(cells.count.shape) for _ in range(2))
-    total.flat[cells.filled] = np.add.reduceat(by_cell, cells.first)
-    highest.flat[cells.filled] = np.maximum.reduceat(by_cell, cells.first)
-    near, far = range(-1, 2), range(ASIDE, DIRECTIONS - ASIDE + 1)
-    total3, count3 = (_turned(v, near) for v in (total, cells.count))
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _cell_sums(spectrum, cell, cells):  # type: ignore[no-untyped-def]
+    """Power of a transform, and its sum and highest over cells (-1: of none)."""
+    rows, columns = spectrum.shape
+    power = np.empty((rows, columns), np.float32)
+    total, highest = np.zeros(cells), np.zeros(cells)
+    for i in range(rows):
+        for j in range(columns):
+            value = spectrum[i, j].real ** 2 + spectrum[i, j].imag ** 2
+            power[i, j] = value
+            k = cell[i, j]
+            if k >= 0:
+                total[k] += value
+                highest[k] = max(highest[k], value)
+    return power, total, highest
+
+
+def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
+    """1 at the cells (wavelengths, directions) out of reach of a known wave, 0 at others."""
+    length = np.log2(1 / (float(np.hypot(*known)) * MIN_PIXELS)) * OCTAVE
+    turn = np.arctan2(known[1], known[0]) / np.pi * DIRECTIONS
+    direction = np.abs((np.arange(shape[1]) - turn + DIRECTIONS / 2) % DIRECTIONS - DIRECTIONS / 2)
+    reached = np.abs(np.arange(shape[0])[:, None] - length) <= REACH[0]
+    return np.asarray(1.0 - (reached & (direction <= REACH[1])))
+
+
+def _table(
+    flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
+) -> Table:
+    """Transform parts of a clip, all of one shape, and sum their power over cells.
+
+    What is within reach of a known wave (cycles a column and a row) is left out.
+    """
+    shape = flat[parts[0]].shape[0], flat[parts[0]].shape[1]
+    rows, columns = (next_fast_len(int(PADDING * n), True) for n in shape)
+    cells = _cells(shape, (rows, columns))
+    spectra = (_transform(flat[part], valid[part], (rows, columns)) for part in parts)
+    summed = [_cell_sums(v, cells.number, cells.count.size) for v in spectra]
+    power = [v[0] for v in summed]
+    shown = len(parts), *cells.count.shape
+    total, highest = (np.reshape([v[k] for v in summed], shown) for k in (1, 2))
+    lengths = len(cells.count)
+    soft = _ladder(lengths, _SOFT)
+    count, around = cells.count, cells.around
+    if known is not None:
+        beside = _apart(count.shape, known)
+        count, total, highest = (v * beside for v in (count, total, highest))
+        around = soft @ count @ _ring(_SOFT)
+        power = [v * beside.ravel()[cells.number].astype(np.float32) for v in power]
+    bins = around * (shape[0] * shape[1] / (rows * columns * INDEPENDENT))
+    level = _mean(soft @ total @ _ring(_SOFT), around)
+    aside = _mean(total @ _ring(_ASIDE), count @ _ring(_ASIDE))
+    near, near_count = total @ _ring(_NEAR), count @ _ring(_NEAR)
     longer, shorter = (
-        _mean(_shifted(total3, range(*steps)), _shifted(count3, range(*steps)))
-        for steps in (LONGER, SHORTER)
+        _mean(_ladder(lengths, steps) @ near, _ladder(lengths, steps) @ near_count)
+        for steps in (_all(*LONGER), _all(*SHORTER))
     )
-    wide = np.pad(highest, ((1, 1), (0, 0)))
-    around = _around(cells.count)
     return Table(
-        _mean(_around(total), around),
-        around * flat.size / (full[0] * full[1] * INDEPENDENT),
-        _mean(_turned(total, far), _turned(cells.count, far)),
-        longer,
+        level,
+        np.broadcast_to(bins, total.shape),
+        aside,
+        longer if known is None else np.where(longer > 0, longer, aside),
         shorter,
-        np.asarray(maximum_filter(wide, 3, mode=("constant", "wrap"))[1:-1]),
+        _highest_around(highest),
         power,
-        (full[0], full[1]),
+        (rows, columns),
     )
-
-
-def smooth_trend(values: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
-    """Polynomial of degree 4 in row and column through the means of 16 by 16 blocks.
-
-    Parameters
-    ----------
-    values : ndarray (rows, columns)
-        0 where not valid.
-    valid : ndarray of bool (rows, columns)
-
-    Returns
-    -------
-    ndarray (rows, columns)
-        At least a tenth of the mean.
-    """
-    rows, columns = values.shape
-    edges = [np.linspace(0, n, min(16, n) + 1).astype(int)[:-1] for n in values.shape]
-
-    def blocks(values: FloatArray) -> FloatArray:
-        return np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1)
-
-    count = blocks(valid.astype(float))
-    mean = blocks(values) / np.maximum(count, 1)
-    used = count > 0.1 * count.max()
-    y, x = ((np.append(e, n)[1:] + e - n) / n for e, n in ((edges[0], rows), (edges[1], columns)))
-    degree = min(4, int(np.sqrt(used.sum())) - 1)
-    terms = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    design = np.stack([np.multiply.outer(y**i, x**j)[used] for i, j in terms], axis=-1)
-    weight = np.sqrt(count[used])
-    fit = np.linalg.lstsq(design * weight[:, None], mean[used] * weight, rcond=None)[0]
-    factors = np.zeros((degree + 1, degree + 1))
-    for factor, (i, j) in zip(fit, terms, strict=True):
-        factors[i, j] = factor
-    powers = np.arange(degree + 1)
-    row = ((2 * np.arange(rows) + 1 - rows) / rows)[:, None] ** powers
-    column = ((2 * np.arange(columns) + 1 - columns) / columns)[:, None] ** powers
-    return np.asarray(np.maximum(row @ factors @ column.T, 0.1 * float(values[valid].mean())))
-
-
-def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
-    """Take trend and gains of pings off a clip's amplitude.
-
-    Parameters
-    ----------
-    image : Image
-
-    Returns
-    -------
-    flat : ndarray (rows, columns)
-        Amplitude over its smooth trend and over the mean along each ping, less 1; 0 where not
-        valid.
-    gains : ndarray (pings,)
-        The means, a pixel across the look each; 1 where there is none.
-    """
-    amplitude, valid = np.sqrt(image.power), image.valid
-    level = np.minimum(amplitude / smooth_trend(amplitude, valid), CAP)
-    look = image.look
-    place = image.project(np.array([look[1], -look[0]])) / image.pixel_size
-    ping = np.rint(place - place.min()).astype(np.int64)
-    pixels = np.bincount(ping[valid])
-    total = np.bincount(ping[valid], level[valid])
-    mean = float(total.sum()) / max(int(pixels.sum()), 1)
-    gains = np.where(pixels > 0, total / np.maximum(pixels, 1) / max(mean, 1e-9), 1.0)
-    gains = np.asarray(np.clip(gains, 0.2, 5.0))
-    padded = np.ones(int(ping.max()) + 1)
-    padded[: gains.size] = gains
-    level = level / padded[ping] / max(mean, 1e-9)
-    return np.asarray(np.where(valid, level - level[valid].mean(), 0.0)), padded
 
 
 class Peak(NamedTuple):
@@ -285,7 +262,7 @@ class Peak(NamedTuple):
     waves: float
     energy: float
     above: float
-    part: tuple[slice, slice]
+    part: Part
 
 
 def _over(bins: FloatArray, ratio: FloatArray) -> FloatArray:
@@ -311,7 +288,7 @@ def _evidence(table: Table) -> FloatArray:
     bins = table.bins / (1 + table.bins / MOST_BINS)
     rivals = np.stack([table.aside * UNEVEN, table.longer, table.shorter])
     rivals[2] = np.where(rivals[2] > 0, rivals[2], table.level / NO_SHORTER)
-    tiny = 1e-6 * max(float(table.level.max()), 1e-30)
+    tiny = 1e-6 * np.maximum(table.level.max(axis=(1, 2), keepdims=True), 1e-30)
     each = _over(bins, np.minimum(table.level / np.maximum(rivals, tiny), MOST))
     broad = np.minimum(each, each.min(axis=0) + HEADWAY).sum(axis=0)
     highest = np.maximum(rivals.max(axis=0), tiny)
@@ -322,40 +299,44 @@ def _evidence(table: Table) -> FloatArray:
     return np.asarray(np.maximum(broad, narrow - LINE_TRIALS))
 
 
-def _peaks(flat: FloatArray, valid: BoolArray, part: tuple[slice, slice]) -> list[Peak]:
-    """Find peaks of the spectrum of a part of a clip, the likeliest first."""
-    part_valid = valid[part]
-    share = float(part_valid.mean())
-    if share < MIN_VALID:
-        return []
-    table = _table(flat[part], part_valid)
+def _peaks(
+    flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
+) -> Iterator[list[Peak]]:
+    """Find peaks of the spectra of parts of a clip, all of one shape, the likeliest first."""
+    table = _table(flat, valid, parts, known)
     evidence = _evidence(table)
-    lengths, directions = table.level.shape
-    rows, columns = part_valid.shape
+    lengths, directions = table.level.shape[1:]
+    rows, columns = flat[parts[0]].shape
     wavelength = MIN_PIXELS * 2 ** (np.arange(lengths) / OCTAVE)[:, None]
     turn = np.arange(directions) * np.pi / directions
     waves = np.hypot(columns * np.cos(turn), rows * np.sin(turn)) / wavelength
-    top = maximum_filter(np.pad(table.level, ((1, 1), (0, 0))), 3, mode=("constant", "wrap"))[1:-1]
-    tops = (table.level >= top) & (waves >= NEARLY * MIN_WAVES) & (evidence > WORTH)
-    peaks = []
-    for i, j in zip(*np.nonzero(tops), strict=True):
-        per_pixel = np.array([np.cos(turn[j]), np.sin(turn[j])]) / wavelength[i, 0]
-        for span in SPANS:
-            per_pixel = _centroid(table, per_pixel, span)
-        held = float(np.hypot(per_pixel[0] * columns, per_pixel[1] * rows))
-        energy = float(table.level[i, j] * table.bins[i, j]) * share * part_valid.size / valid.size
-        if held >= MIN_WAVES and MIN_PIXELS * np.hypot(*per_pixel) <= 1:
-            above = max(1 - float(table.aside[i, j] / table.level[i, j]), 0.0)
-            peaks.append(Peak(per_pixel, float(evidence[i, j]), held, energy, above, part))
-    return sorted(peaks, key=lambda p: -p.evidence)[:MOST_PEAKS]
+    tops = (table.level >= _highest_around(table.level)) & (evidence > WORTH)
+    tops &= waves >= NEARLY * MIN_WAVES
+    for k, part in enumerate(parts):
+        share = float(valid[part].sum()) / valid.size
+        peaks = []
+        for i, j in zip(*np.nonzero(tops[k]), strict=True):
+            per_pixel = np.array([np.cos(turn[j]), np.sin(turn[j])]) / wavelength[i, 0]
+            for span in SPANS:
+                per_pixel = _centroid(table.power[k], table.full, per_pixel, span)
+            held = float(np.hypot(per_pixel[0] * columns, per_pixel[1] * rows))
+            if held < MIN_WAVES or MIN_PIXELS * np.hypot(*per_pixel) > 1:
+                continue
+            level = float(table.level[k, i, j])
+            energy = level * float(table.bins[k, i, j]) * share
+            above = max(1 - float(table.aside[k, i, j]) / level, 0.0)
+            peaks.append(Peak(per_pixel, float(evidence[k, i, j]), held, energy, above, part))
+        yield sorted(peaks, key=lambda p: -p.evidence)[:MOST_PEAKS]
 
 
-def _centroid(table: Table, per_pixel: FloatArray, span: float) -> FloatArray:
+def _centroid(
+    power: NDArray[np.float32], full: tuple[int, int], per_pixel: FloatArray, span: float
+) -> FloatArray:
     """Centre of the squared power around a wave, cycles a column and a row.
 
     `span` is how far around, over the wave number: crests that bend and fork spread power.
     """
-    rows, columns = table.full
+    rows, columns = full
     reach = span * float(np.hypot(*per_pixel))
     sides = zip((columns, rows), per_pixel, strict=True)
     right, down = (
@@ -364,17 +345,15 @@ def _centroid(table: Table, per_pixel: FloatArray, span: float) -> FloatArray:
     )
     # of a real image's transform, the half plane that was not computed is the other one turned
     mirrored = np.where(right < 0, -1, 1)
-    power = table.power[
-        (mirrored * down[:, None]) % rows, np.minimum(np.abs(right), table.power.shape[1] - 1)
-    ]
+    here = power[(mirrored * down[:, None]) % rows, np.minimum(np.abs(right), power.shape[1] - 1)]
     east, north = right / columns, down[:, None] / rows
     near = np.hypot(east - per_pixel[0], north - per_pixel[1]) <= reach
-    weight = np.where(near, power, 0.0) ** 2
+    weight = np.where(near, here.astype(np.float64), 0.0) ** 2
     total = max(float(weight.sum()), 1e-300)
     return np.array([float((weight * v).sum()) / total for v in (east, north)])
 
 
-def _parts(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+def _parts(shape: tuple[int, int]) -> list[Part]:
     """Rows and columns of the whole, of halves and of quarters of a clip, at every quarter.
 
     Halves of large clips are left out: their quarters hold enough waves.
@@ -408,4 +387,55 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
     list of Peak
     """
     shape = flat.shape[0], flat.shape[1]
-    return [peak for part in _parts(shape) for peak in _peaks(flat, valid, part)]
+    groups: dict[tuple[int, int], list[Part]] = {}
+    for part in _parts(shape):
+        if valid[part].mean() >= MIN_VALID:
+            rows, columns = (p.stop - p.start for p in part)
+            groups.setdefault((rows, columns), []).append(part)
+    return [
+        peak for parts in groups.values() for found in _peaks(flat, valid, parts) for peak in found
+    ]
+
+
+def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[Peak]:
+    """Find the peaks of a clip's spectrum beside a wave that it is known to have.
+
+    What two systems of waves have hides each from a comparison with other directions and lengths.
+
+    Parameters
+    ----------
+    flat : ndarray (rows, columns)
+        Amplitude over its trend, less 1; 0 where not valid.
+    valid : ndarray of bool (rows, columns)
+    known : ndarray (2,)
+        Cycles a column and a row.
+
+    Returns
+    -------
+    list of Peak
+        The likeliest first, none within reach of the known wave.
+    """
+    whole = slice(0, flat.shape[0]), slice(0, flat.shape[1])
+    if valid.mean() < MIN_VALID:
+        return []
+    found = next(_peaks(flat, valid, [whole], known))
+    return [peak for peak in found if not within_reach(peak.per_pixel, known)]
+
+
+def within_reach(one: FloatArray, other: FloatArray) -> bool:
+    """Whether a wave may be another one whose crests bend.
+
+    Parameters
+    ----------
+    one, other : ndarray (2,)
+        Cycles a column and a row.
+
+    Returns
+    -------
+    bool
+    """
+    lengths = float(np.hypot(*one)), float(np.hypot(*other))
+    cosine = min(abs(float(one @ other)) / (lengths[0] * lengths[1]), 1.0)
+    steps = abs(np.log2(lengths[0] / lengths[1])) * OCTAVE
+    turn = np.arccos(cosine) / np.pi * DIRECTIONS
+    return bool(steps <= REACH[0] and turn <= REACH[1])

@@ -13,22 +13,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import expit
+from scipy.special import expit, logsumexp
 
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
+    LEAST_LEVEL,
+    SHIFT_SD,
     Information,
+    LawTold,
     Looks,
     Shared,
-    at_height,
+    evidence_of_law,
     heaviest,
     law_factor,
     multiplied,
     normalised,
-    steepness_factor,
+    placed,
+    strayed,
 )
-from sasmap.ripples.sampler import metropolis_hastings, mixture_of_peaks, population
+from sasmap.ripples.sampler import (
+    LogDensity,
+    metropolis_hastings,
+    mixture_of_peaks,
+    population,
+)
 from sasmap.ripples.summary import log_contrast
 
 FloatArray = NDArray[np.float64]
@@ -44,15 +53,16 @@ SCATTER_LOG, SCATTER_SD = np.log([3e-4, 0.01, 0.1]), np.array([1.0, 0.8, 0.8])
 SHARE_LOGIT, SHARE_SD = -1.4, 1.0
 # Passes that differ: how often, and the scatter they have.
 ODD, ODD_SCATTER = 0.03, np.array([0.15, 0.4, 10.0])
-# Components of a product of looks that are kept; log evidence of what cannot be.
-MOST_KEPT, LEAST_LEVEL = 6, -1e9
-# Degrees of freedom of the prior of an altitude offset: a wrong one is no Gaussian's tail.
-OFFSET_FREEDOM = 4.0
+# Components of a product of looks that are kept.
+MOST_KEPT = 6
+# Degrees of freedom of the priors of altitude offsets and of what the pulse's shape tells wrong: a
+# large one is no Gaussian's tail.
+FREEDOM = 4.0
 # Looks that the shared values are learned from at most: more would not change them.
-MOST_LOOKS = 600
-# Edge of the first simplex; step of numerical derivatives; chains and their steps; values that
-# stand for the posterior.
-SIMPLEX, STEP, CHAINS, STEPS, VALUES = 0.5, 1e-2, 4, 120, 24
+MOST_LOOKS = 400
+# Step of numerical derivatives; rounds of the climb, and how far it goes, in the prior's standard
+# deviations; chains and their steps; values that stand for the posterior.
+STEP, CLIMB, FARTHEST, CHAINS, STEPS, VALUES = 1e-2, 40, 5.0, 4, 60, 24
 
 
 class SurveyModel(NamedTuple):
@@ -90,73 +100,79 @@ class SurveyModel(NamedTuple):
         }
 
 
-class _Layout(NamedTuple):
-    """Which shared values are estimated, and where they stand in a vector."""
+class _Layout:
+    """Which shared values are estimated, and where they stand in a vector.
 
-    law: bool
-    offset_sd: FloatArray  # (swaths,), 0 where an offset is not estimated
-    scatter: FloatArray | None  # fixed, or None where it is estimated
-    passes: bool  # whether any cell has two looks
+    The vector's values are standardised: 0 and 1 are the prior's centre and scale.
 
-    @property
-    def size(self) -> int:
-        estimated = self.passes and self.scatter is None
-        share = self.law and self.passes
-        return 4 * self.law + int((self.offset_sd > 0).sum()) + share + 3 * estimated
+    Parameters
+    ----------
+    law : bool
+        Whether the law is estimated.
+    offset_sd : ndarray (swaths,)
+        m; 0 where an offset is not estimated.
+    scatter : ndarray (3,) or None
+        Fixed, or None where it is estimated.
+    passes : bool
+        Whether any cell has two looks.
+    """
 
-    def start(self) -> FloatArray:
-        """Means of the prior."""
-        parts = [LAW_MEAN, SPREAD_LOG] if self.law else []
-        parts.append(np.zeros(int((self.offset_sd > 0).sum())))
-        if self.law and self.passes:
-            parts.append(np.array([SHARE_LOGIT]))
-        if self.passes and self.scatter is None:
-            parts.append(SCATTER_LOG)
-        return np.concatenate(parts) if parts else np.zeros(0)
+    def __init__(
+        self, law: bool, offset_sd: FloatArray, scatter: FloatArray | None, passes: bool
+    ) -> None:
+        self.law, self.offset_sd, self.scatter = law, offset_sd, scatter
+        sizes = {
+            "law": 2 * law,
+            "spread": 2 * law,
+            "share": int(law and passes),
+            "scatter": 3 * int(passes and scatter is None),
+            "shift": 2 * law,
+            "offset": int((offset_sd > 0).sum()),
+        }
+        ends = np.cumsum(list(sizes.values()))
+        self._place = {
+            name: slice(int(end) - size, int(end))
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+        self.size = int(ends[-1])
+        # what may lie far out: shift and offsets
+        self._gaussian = int(ends[3])
 
     def shared(self, point: FloatArray) -> Shared:
         """Name the values of a vector."""
-        law, spread, at = LAW_MEAN, np.exp(SPREAD_LOG), 0
-        if self.law:
-            law, spread, at = point[:2], np.exp(point[2:4]), 4
+
+        def at(name: str, count: int) -> FloatArray:
+            values = point[self._place[name]]
+            return values if values.size else np.zeros(count)
+
+        most = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
         offset = np.zeros(self.offset_sd.size)
         free = self.offset_sd > 0
-        offset[free] = point[at : at + int(free.sum())] * self.offset_sd[free]
-        at += int(free.sum())
-        logit = SHARE_LOGIT
-        if self.law and self.passes:
-            logit, at = point[at], at + 1
-        if self.scatter is not None:
-            scatter = self.scatter
-        else:
-            scatter = np.exp(point[at:] if self.passes else SCATTER_LOG)
-        spread = np.minimum(spread, MOST_SPREAD * np.sqrt(LAW_VARIANCE))
-        return Shared(law, spread, offset, scatter, float(expit(logit)))
+        offset[free] = point[self._place["offset"]] * self.offset_sd[free]
+        scatter = self.scatter
+        if scatter is None:
+            scatter = np.exp(SCATTER_LOG + SCATTER_SD * at("scatter", 3))
+        return Shared(
+            LAW_MEAN + np.sqrt(LAW_VARIANCE) * at("law", 2),
+            np.minimum(np.exp(SPREAD_LOG + SPREAD_SD * at("spread", 2)), most),
+            SHIFT_SD * at("shift", 2),
+            offset,
+            scatter,
+            float(expit(SHARE_LOGIT + SHARE_SD * at("share", 1)[0])),
+        )
 
     def log_prior(self, point: FloatArray) -> float:
         """Log prior density, up to a constant."""
-        value, at = 0.0, 0
-        if self.law:
-            value -= 0.5 * ((point[:2] - LAW_MEAN) ** 2 / LAW_VARIANCE).sum()
-            value -= 0.5 * (((point[2:4] - SPREAD_LOG) / SPREAD_SD) ** 2).sum()
-            at = 4
-        count = int((self.offset_sd > 0).sum())
-        scaled = point[at : at + count] ** 2 / OFFSET_FREEDOM
-        value -= 0.5 * (OFFSET_FREEDOM + 1) * np.log1p(scaled).sum()
-        at += count
-        if self.law and self.passes:
-            value -= 0.5 * ((point[at] - SHARE_LOGIT) / SHARE_SD) ** 2
-            at += 1
-        if self.passes and self.scatter is None:
-            value -= 0.5 * (((point[at:] - SCATTER_LOG) / SCATTER_SD) ** 2).sum()
-        return float(value)
+        squares = point**2
+        value = -0.5 * squares[: self._gaussian].sum()
+        tails = np.log1p(squares[self._gaussian :] / FREEDOM).sum()
+        return float(value - 0.5 * (FREEDOM + 1) * tails)
 
 
 def learn(
     looks: Looks | None,
     swaths: int,
     scatter: FloatArray | None,
-    steepness: tuple[float, float],
     seed: int,
 ) -> SurveyModel:
     """Estimate what the looks of a survey share.
@@ -168,8 +184,6 @@ def learn(
     swaths : int
     scatter : ndarray (3,) or None
         Fixed scatter between passes (log f, log A_H, degrees); None to learn it.
-    steepness : tuple of float
-        Median and log standard deviation of the prior of natural steepness.
     seed : int
         The same seed and looks give the same model to the bit.
 
@@ -187,20 +201,15 @@ def learn(
     some = None if looks is None else _thinned(looks)
 
     def log_density(points: FloatArray) -> FloatArray:
-        return np.array([_log_posterior(p, layout, some, steepness) for p in points])
+        values = [_log_posterior(np.clip(p, -9.0, 9.0), layout, some) for p in points]
+        return np.array(values)
 
-    start = layout.start()
     best = minimize(
         lambda p: -log_density(p[None])[0],
-        start,
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": np.vstack([start, start + SIMPLEX * np.eye(start.size)]),
-            "maxfev": 150 * start.size,
-            "fatol": 0.05,
-            "xatol": 0.05,
-            "adaptive": True,
-        },
+        np.zeros(layout.size),
+        method="L-BFGS-B",
+        bounds=[(-FARTHEST, FARTHEST)] * layout.size,
+        options={"maxiter": CLIMB, "ftol": 1e-6, "eps": STEP},
     )
     proposal = mixture_of_peaks([(best.x, _covariance(best.x, log_density), 0.0)])
     particles, proposal = population(log_density, proposal, rng)
@@ -210,7 +219,8 @@ def learn(
     # values that stand for the posterior: evenly over what A_H depends on
     key = points[:, 0]
     if layout.law and some is not None:
-        key = log_contrast(points[:, :2], np.median(some.tangent))
+        laws = np.array([layout.shared(p).law for p in points])
+        key = log_contrast(laws, np.median(some.tangent))
     order = np.argsort(key, kind="stable")
     chosen = order[((np.arange(VALUES) + 0.5) * len(order) / VALUES).astype(int)]
     values = [layout.shared(points[i]) for i in chosen]
@@ -256,24 +266,23 @@ def _thinned(looks: Looks) -> Looks:
     return looks.some(np.flatnonzero(np.isin(looks.cell, chosen)))
 
 
-def _log_posterior(
-    point: FloatArray, layout: _Layout, looks: Looks | None, steepness: tuple[float, float]
-) -> float:
+def _log_posterior(point: FloatArray, layout: _Layout, looks: Looks | None) -> float:
     value = layout.log_prior(point)
     if looks is None:
         return value
-    return value + float(evidence(looks, layout.shared(point), steepness).sum())
+    return value + float(evidence(looks, layout.shared(point)).sum())
 
 
-def evidence(looks: Looks, shared: Shared, steepness: tuple[float, float]) -> FloatArray:
+def evidence(looks: Looks, shared: Shared) -> FloatArray:
     """Log evidence of each cell (cells,): that its looks speak of one f, A_H, azimuth and law.
+
+    All of f, A_H and azimuth are taken as equally likely: ripples are about as steep all over a
+    survey, so that the steepness of many cells is no independent evidence of the law.
 
     Parameters
     ----------
     looks : Looks
     shared : Shared
-    steepness : tuple of float
-        Median and log standard deviation of the prior of natural steepness.
 
     Returns
     -------
@@ -281,100 +290,82 @@ def evidence(looks: Looks, shared: Shared, steepness: tuple[float, float]) -> Fl
         In the order of the cells' numbers. A cell whose passes differ counts by a wider scatter.
     """
     _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
+    every = np.zeros(count.size)
     several = count[cell] > 1
-    scatter = np.where(several[:, None], shared.scatter, 0.0)
-    honest = _evidence(looks, shared, scatter, steepness, cell, count)
-    if not several.any():
-        return honest
-    part = np.flatnonzero(several)
-    wide = np.hypot(scatter[part], ODD_SCATTER)
-    place = np.unique(cell[part], return_inverse=True)[1]
-    some = count[count > 1]
-    odd = _evidence(looks.some(part), shared, wide, steepness, place, some)
-    both = np.logaddexp(np.log1p(-ODD) + honest[count > 1], np.log(ODD) + odd)
-    honest[count > 1] = both
-    return honest
+    if looks.law is not None and not several.all():
+        alone = np.flatnonzero(~several)
+        law = LawTold(*(v[alone] for v in looks.law))
+        every[cell[alone]] = evidence_of_law(law, shared)
+    if several.any():
+        part = looks.some(np.flatnonzero(several))
+        place = np.unique(cell[several], return_inverse=True)[1]
+        scatter = np.broadcast_to(shared.scatter, (place.size, 3))
+        factor, prior = placed(part, shared), law_factor(shared, looks.with_law)
+        honest, odd = (
+            _evidence(strayed(factor, shared, s), prior, place, count[count > 1])
+            for s in (scatter, np.hypot(scatter, ODD_SCATTER))
+        )
+        every[count > 1] = np.logaddexp(np.log1p(-ODD) + honest, np.log(ODD) + odd)
+    return every
 
 
 def _evidence(
-    looks: Looks,
-    shared: Shared,
-    scatter: FloatArray,
-    steepness: tuple[float, float],
+    factor: Information,
+    prior: Information,
     cell: NDArray[np.int64],
     count: NDArray[np.int64],
 ) -> FloatArray:
-    factor = at_height(looks, shared, scatter)
     order = np.argsort(cell, kind="stable")
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
     total = Information(*(v[order[first]] for v in factor))
     every, before = np.full(count.size, -np.inf), count > 0
-    for k in range(int(count.max())):  # the k-th look of every cell that has one
+    for k in range(1, int(count.max())):  # the next look of every cell that has one
         has = count > k
-        if k > 0:
-            here = Information(*(v[has[before]] for v in total))
-            one = Information(*(v[order[(first + k)[has]]] for v in factor))
-            total, before = multiplied(here, one), has
-        others = np.full(int(has.sum()), k)
-        level, total = settled(total, shared, steepness, others)
-        top = np.maximum(level.max(axis=1), LEAST_LEVEL)
-        every[has] = top + np.log(np.exp(level - top[:, None]).sum(axis=1) + 1e-300)
+        here = Information(*(v[has[before]] for v in total))
+        one = Information(*(v[order[(first + k)[has]]] for v in factor))
+        total, before = multiplied(here, one), has
+        level, total = settled(total, prior)
+        every[has] = logsumexp(np.maximum(level, LEAST_LEVEL), axis=1)
     return every
 
 
-def settled(
-    total: Information, shared: Shared, steepness: tuple[float, float], others: NDArray[np.int64]
-) -> tuple[FloatArray, Information]:
+def settled(total: Information, prior: Information) -> tuple[FloatArray, Information]:
     """Log evidence of components of looks that were multiplied, the heaviest of which are kept.
 
     Parameters
     ----------
     total : Information (cells, K)
-    shared : Shared
-    steepness : tuple of float
-        Median and log standard deviation of the prior of natural steepness.
-    others : ndarray of int (cells,)
-        Looks less one: as often too many that prior is in the product.
+    prior : Information ()
+        Of one component.
 
     Returns
     -------
     level : ndarray (cells, at most MOST_KEPT)
     total : Information (cells, at most MOST_KEPT)
     """
-    level = normalised(with_priors(total, shared, steepness, others))[0]
+    level = normalised(with_prior(total, prior))[0]
     kept = heaviest(total, level, MOST_KEPT)
     return heaviest(Information(level, total.push, total.precision), level, MOST_KEPT).level, kept
 
 
-def with_priors(
-    total: Information, shared: Shared, steepness: tuple[float, float], others: NDArray[np.int64]
-) -> Information:
-    """Multiply looks by the law's prior, and divide them by the steepness's that they share."""
-    size = total.push.shape[-1]
-    law, natural = law_factor(shared, size == 5), steepness_factor(size, steepness)
-    return Information(
-        total.level + law.level - others[:, None] * natural.level,
-        total.push + law.push - others[:, None, None] * natural.push,
-        total.precision + law.precision - others[:, None, None, None] * natural.precision,
-    )
+def with_prior(total: Information, prior: Information) -> Information:
+    """Multiply looks by a prior of one component."""
+    return Information(*(a + b for a, b in zip(total, prior, strict=True)))
 
 
-def _covariance(point: FloatArray, log_density: object) -> FloatArray:
+def _covariance(point: FloatArray, log_density: LogDensity) -> FloatArray:
     """Inverse of the curvature of a log density by differences, kept positive."""
-    assert callable(log_density)
     size = point.size
     steps = STEP * np.eye(size)
-    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
-    corners = np.array(
-        [
-            point + a * steps[i] + b * steps[j]
-            for i, j in pairs
-            for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
-        ]
+    rows, columns = np.tril_indices(size, -1)
+    corners = np.vstack(
+        [point[None], point + steps, point - steps, point + steps[rows] + steps[columns]]
     )
-    levels = log_density(corners).reshape(-1, 4)
-    curvature = np.empty((size, size))
-    for (i, j), (pp, pm, mp, mm) in zip(pairs, levels, strict=True):
-        curvature[i, j] = curvature[j, i] = -(pp - pm - mp + mm) / (4 * STEP**2)
+    levels = log_density(corners)
+    middle, ahead, behind = levels[0], levels[1 : size + 1], levels[size + 1 : 2 * size + 1]
+    curvature = np.diag(2 * middle - ahead - behind) / STEP**2
+    mixed = levels[2 * size + 1 :] - ahead[rows] - ahead[columns] + middle
+    # f(x + i + j) - f(x + i) - f(x + j) + f(x), second order in the step
+    curvature[rows, columns] = curvature[columns, rows] = -mixed / STEP**2
     values, turn = np.linalg.eigh(curvature)
     return np.asarray((turn / np.maximum(values, 0.5)) @ turn.T)

@@ -47,7 +47,7 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
     """
     good = _good(outcome)
     if outcome.fused:
-        area = len(good) * plan.opened.grid.size**2
+        area = len(good) * plan.opened.grid.spacing**2
         beside = f"of {len(outcome.fused)}; {area:,.0f} m² with a converged estimate"
         yield Answer("Rippled cells", str(len(good)), beside)
     if good:  # by the default method, which knows their azimuth

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sasmap.errors import InputError, check_file
 from sasmap.io.jsonfile import finite
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.fitting import FAMILIES, Law
-from sasmap.sediments.segmentation import Classes
 from sasmap.sediments.texture import BINS, CHANNELS, WINDOWS, Texture
 
 FORMAT = "sasmap sediment classes 1"
@@ -40,6 +40,8 @@ class ClassModel(NamedTuple):
         Laws at several scales, if the survey needed them.
     codes : tuple of str
         Of a scheme of the user's (Folk, EUNIS, CMECS), if any are given.
+    objects : bool
+        Whether objects were set apart where the classes were found.
     """
 
     names: tuple[str, ...]
@@ -49,6 +51,7 @@ class ClassModel(NamedTuple):
     centre: float = 0.0
     texture: Texture | None = None
     codes: tuple[str, ...] = ()
+    objects: bool = True
 
     def codes_of(self, names: Sequence[str]) -> tuple[str, ...]:
         """Code of each of some names; empty where none is given."""
@@ -56,13 +59,17 @@ class ClassModel(NamedTuple):
         return tuple(known.get(name, "") for name in names)
 
 
-def model_text(names: Sequence[str], codes: Sequence[str], classes: Classes) -> str:
+def model_text(
+    names: Sequence[str], codes: Sequence[str], classes: Classes, objects: bool = True
+) -> str:
     """Write a survey's classes as JSON, for other surveys to take over.
 
     Parameters
     ----------
     names, codes : sequence of str
     classes : Classes
+    objects : bool
+        Whether objects were set apart.
 
     Returns
     -------
@@ -71,6 +78,7 @@ def model_text(names: Sequence[str], codes: Sequence[str], classes: Classes) -> 
     content = {
         "format": FORMAT,
         "reference_cotangent": float(np.exp(classes.centre)),
+        "objects_apart": objects,
         "classes": [
             {"name": name, "code": code, **asdict(law)}
             for name, code, law in zip(names, codes, classes.laws, strict=True)
@@ -116,7 +124,12 @@ def read_model(path: Path) -> ClassModel:
         texture = _texture_of(content["texture"], len(laws)) if "texture" in content else None
         codes = tuple(str(one.get("code", "")) for one in content["classes"])
         return ClassModel(
-            names, laws=laws, centre=float(np.log(reach)), texture=texture, codes=codes
+            names,
+            laws=laws,
+            centre=float(np.log(reach)),
+            texture=texture,
+            codes=codes,
+            objects=bool(content.get("objects_apart", True)),
         )
     except OSError as error:
         raise InputError(f"{path}: {expected}: {error.strerror or error}") from None

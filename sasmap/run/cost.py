@@ -32,8 +32,8 @@ BASE, WORKING, SAMPLED = 400e6, 300.0, 130.0
 # Bytes on disk: of a look at a cell with its picture; of its pixels for the sediment map, modelled,
 # and of the ripples' extent; of the map in the making, and of products; of the mosaic, while it is
 # made and when it is.
-RECORD, KEPT, MODELLED, EXTENT = 80_000, 6, 4, 1
-MAKING, PRODUCTS, MOSAIC = 22, 6, 12
+RECORD, KEPT, MODELLED, EXTENT = 80_000, 8, 4, 1
+MAKING, PRODUCTS, MOSAIC = 24, 6, 12
 
 
 class Cost(NamedTuple):
@@ -68,9 +68,9 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
     """
     survey = plan.settings
     threads = workers or os.cpu_count() or 1
-    looks = sum(len(k) for k in plan.cells.values())
+    looks = sum(len(k) for k in plan.ripples.cells.values())
     cell = survey.window**2
-    finished = finished_looks(plan, Store(survey.output_folder)) if survey.ripples else 0
+    finished = finished_looks(plan.ripples, Store(survey.output_folder)) if survey.ripples else 0
     memory = BASE + WORKING * cell * threads
     grid = plan.opened.grid.rows * plan.opened.grid.columns * cell
     disk = float(MOSAIC * grid)
@@ -79,7 +79,8 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
         disk += (looks - finished) * (RECORD + kept * cell)
     if survey.sediments is not None:
         memory += SAMPLED * min(SAMPLE, looks * cell)
-        disk += KEPT * (looks - finished) * cell * (survey.ripples is not None)
+        kept = survey.ripples is not None and plan.overlapping is None
+        disk += KEPT * (looks - finished) * cell * kept
         disk += (MAKING + PRODUCTS) * grid
     return Cost(memory, disk, finished, looks)
 
@@ -100,15 +101,16 @@ def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
     survey = plan.settings
     threads = workers or os.cpu_count() or 1
     cost, cell = cost_of(plan, workers), survey.window**2
-    low = high = LAID * cost.looks * cell
+    shown = sum(len(k) for k in plan.cells.values()) * cell
+    low = high = LAID * shown
     if survey.ripples is not None:
         left = cost.looks - cost.finished
-        timed = _timed(plan, left) if left and compiled() else []
+        timed = _timed(plan.ripples, left) if left and compiled() else []
         ends = (FLAT * cell, RIPPLED) if not timed else (float(np.mean(timed)),) * 2
         low, high = low + left * ends[0], high + left * ends[1]
     if survey.sediments is not None:
-        pixels = len(plan.cells) * cell + 0.2 * cost.looks * cell
-        mapped = MAPPED * pixels + FOUND * min(DESCRIBED, cost.looks * cell)
+        pixels = len(plan.cells) * cell + 0.2 * shown
+        mapped = MAPPED * pixels + FOUND * min(DESCRIBED, shown)
         low, high = low + mapped, high + mapped
     return FIXED + low / threads, FIXED + high / threads
 

@@ -13,6 +13,7 @@ from scipy.ndimage import label
 
 from sasmap.products.extent import Outline, outlines, write_extent
 from sasmap.run.manifest import Outcome
+from sasmap.run.overlaps import covered, met, sharing
 from sasmap.run.plan import Plan
 from sasmap.run.store import Store
 from sasmap.run.task import CERTAIN, UNSEEN, Context, extent_beside
@@ -65,10 +66,10 @@ def _found(store: Store, outcome: Outcome) -> Found:
 
 
 def _groups(found: Found, plan: Plan) -> Iterator[list[tuple[int, int]]]:
-    """Rippled cells that touch each other, with those between and beside them."""
+    """Rippled cells of the map that touch each other, with those between and beside them."""
     grid = plan.opened.grid
     there = np.zeros((grid.rows + 2, grid.columns + 2), bool)
-    for row, column in found:
+    for row, column in met(plan, list(found)):
         there[row : row + 3, column + 1] = True
         there[row + 1, column : column + 3] = True
     groups, count = label(there, np.ones((3, 3)))
@@ -82,7 +83,8 @@ def _traced(context: Context, found: Found, cells: list[tuple[int, int]]) -> lis
     """Outlines of a group of cells."""
     plan = context.plan
     grid, window = plan.opened.grid, plan.settings.window
-    lengths = [1 / np.hypot(*r[:2]) for c in cells for _, r in found.get(c, {}).values()]
+    rippled = sorted({s.cell for c in cells for s in sharing(plan, c) if s.cell in found})
+    lengths = [1 / np.hypot(*r[:2]) for c in rippled for _, r in found[c].values()]
     wavelength = float(np.median(lengths))
     size = int(np.clip(wavelength / (grid.size / window) / FINE, 1, COARSE))
     first = np.min(cells, axis=0)
@@ -94,29 +96,51 @@ def _traced(context: Context, found: Found, cells: list[tuple[int, int]]) -> lis
     for cell in cells:
         row, column = (np.array(cell) - first) * side
         part = np.s_[row : row + side, column : column + side]
-        mosaic[part] = _places(context, found, cell, size)
-        own[part] = cell in found
+        inside = covered(plan, cell, found)
+        mosaic[part] = _places(context, found, cell, inside, side)
+        own[part] = _summed(inside.astype(float), side) > 0
     left = grid.left + first[1] * grid.size
     top = grid.top - first[0] * grid.size
     step = grid.size / side
     return outlines(mosaic, own, wavelength, Affine(step, 0.0, left, 0.0, -step, top))
 
 
-def _places(context: Context, found: Found, cell: tuple[int, int], size: int) -> FloatArray:
-    """Probability of rippled floor of a cell's places: the mean of its looks."""
-    looks = [rippled for rippled, _ in found.get(cell, {}).values()]
-    if not looks:
-        around = [found.get((cell[0] + r, cell[1] + c), {}) for r, c in BESIDE]
+def _places(
+    context: Context,
+    found: Found,
+    cell: tuple[int, int],
+    inside: NDArray[np.bool_],
+    side: int,
+) -> FloatArray:
+    """Probability of rippled floor of a cell's places (side, side): the mean of its looks.
+
+    `inside` are the pixels of cells in which ripples were found; the ripples around go on into the
+    others.
+    """
+    plan = context.plan
+    looks = []
+    for shared in sharing(plan, cell):
+        for rippled, _ in found.get(shared.cell, {}).values():
+            looks.append(np.full(inside.shape, UNSEEN, np.uint8))
+            looks[-1][shared.here] = rippled[shared.there]
+    if not inside.all():
+        near = [(cell[0] + r, cell[1] + c) for r, c in ((0, 0), *BESIDE)]
+        every = sorted({s.cell for c in near for s in sharing(plan, c) if s.cell in found})
+        around = [found[c] for c in every]
         for k in sorted({k for a in around for k in a}):
             references = [a[k][1] for a in around if k in a]
             beside = extent_beside(context, Cell(*cell), k, references)
-            looks += [] if beside is None else [beside]
-    window = context.plan.settings.window
-    side = -(-window // size)
-    edges = np.linspace(0, window, side + 1).astype(int)[:-1]
+            if beside is not None:
+                looks.append(np.where(inside, UNSEEN, beside).astype(np.uint8))
     total, seen = np.zeros((side, side)), np.zeros((side, side))
     for look in looks:
         known = look != UNSEEN
-        for sums, values in ((total, np.where(known, look / CERTAIN, 0.0)), (seen, 1.0 * known)):
-            sums += np.add.reduceat(np.add.reduceat(values, edges, axis=0), edges, axis=1)
+        total += _summed(np.where(known, look / CERTAIN, 0.0), side)
+        seen += _summed(1.0 * known, side)
     return np.where(seen > 0, total / np.maximum(seen, 1), np.nan)
+
+
+def _summed(values: FloatArray, side: int) -> FloatArray:
+    """Sum pixels over places (side, side)."""
+    edges = np.linspace(0, len(values), side + 1).astype(int)[:-1]
+    return np.asarray(np.add.reduceat(np.add.reduceat(values, edges, axis=0), edges, axis=1))

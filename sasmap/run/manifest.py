@@ -62,6 +62,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
             "rows": plan.opened.grid.rows,
             "columns": plan.opened.grid.columns,
             "cell_size_m": plan.opened.grid.size,
+            **({"cell_spacing_m": plan.opened.grid.spacing} if plan.overlaps else {}),
             "crs": crs_name(plan.opened.grid.crs),
         },
         "cells_by_quality": outcome.counts(),
@@ -97,6 +98,7 @@ def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
         **(law if survey.learned else {}),
         "lambert": {"exponent": 2.0, "concentration": 0.0},
         "zare_cobb": {"exponent": 0.0, "concentration": 3 / math.pi},
+        "shift_by_shape": list(quantiles["shift"][1]),
         "altitude_offset_m": [list(q) for q in quantiles["offset"].T],
         "scatter_between_passes": list(quantiles["scatter"][1]),
     }

@@ -30,6 +30,7 @@ from sasmap.run.extent_stage import write_ripple_extent
 from sasmap.run.lock import LOCK, locked
 from sasmap.run.manifest import Clock, Outcome, write_manifest
 from sasmap.run.mosaic import write_mosaic
+from sasmap.run.overlaps import apart, blended, sharing
 from sasmap.run.plan import Plan, Swath, dates_of, make_plan, recorded, tags_of
 from sasmap.run.reporting import make_report
 from sasmap.run.scheduling import check_workers, cluster, compute
@@ -99,7 +100,7 @@ def run_survey(
             if survey.ripples is not None:
                 with clock.stage("ripples"):
                     _estimate_cells(plan, store, outcome, workers, client, progress)
-            _make_products(plan, store, outcome, clock, workers, progress)
+            _make_products(plan, store, outcome, clock, workers, client, progress)
             for line in summary_lines(outcome):
                 note(line)
             note("ended: " + ("complete" if not outcome.failures else "some things failed"))
@@ -112,6 +113,7 @@ def _make_products(
     outcome: Outcome,
     clock: Clock,
     workers: int | None,
+    client: Any,
     progress: Callable[[str, int, int], None] | None,
 ) -> None:
     survey = plan.settings
@@ -125,7 +127,7 @@ def _make_products(
             _attempt(
                 outcome,
                 "sediments",
-                lambda: sediment_stage(plan, store, outcome, workers, told),
+                lambda: sediment_stage(plan, store, outcome, workers, told, client),
             )
     log.info("mosaic")
     with clock.stage("mosaic"):
@@ -134,7 +136,7 @@ def _make_products(
     log.info("report")
     with clock.stage("report"):
         _present(plan, store, outcome)
-    _attempt(outcome, MANIFEST, lambda: [write_manifest(plan, store, outcome)])
+    _attempt(outcome, MANIFEST, lambda: [write_manifest(plan.ripples, store, outcome)])
 
 
 def _name_stale(store: Store, outcome: Outcome) -> None:
@@ -204,6 +206,7 @@ def _estimate_cells(
 ) -> None:
     settings = plan.settings.ripples
     assert settings is not None
+    plan = plan.ripples
     cells = list(plan.cells)
     log.info("%d cells, %d looks at them", len(cells), sum(map(len, plan.cells.values())))
     if not compiled():
@@ -225,7 +228,8 @@ def _estimate_cells(
         outcome.cells[cell.row, cell.column] = summaries
         outcome.keys[cell.row, cell.column] = keys
     every = list(outcome.cells.values())
-    outcome.survey = learn_survey(every, settings, plan.settings.seed)
+    some = [outcome.cells[cell] for cell in apart(plan, outcome.cells)]
+    outcome.survey = learn_survey(some, settings, plan.settings.seed)
     fused = fuse_cells(every, settings, outcome.survey)
     outcome.fused = dict(zip(outcome.cells, fused, strict=True))
 
@@ -251,7 +255,7 @@ def _present(plan: Plan, store: Store, outcome: Outcome) -> None:
     path = store.output / "stac.json"
     known = plan.run_id, plan.settings.name, box, grid.crs, written, recorded(plan)
     _attempt(outcome, path.name, lambda: [write_stac(path, *known, store.scratch)])
-    _attempt(outcome, "report.html", lambda: [make_report(plan, store, outcome, names)])
+    _attempt(outcome, "report.html", lambda: [make_report(plan.ripples, store, outcome, names)])
 
 
 def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -> None:
@@ -265,7 +269,7 @@ def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -
 
 
 def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
-    grid, settings = plan.opened.grid, plan.settings.ripples
+    grid, settings = plan.ripples.opened.grid, plan.settings.ripples
     assert settings is not None
     shape = grid.rows, grid.columns
     scratch, tags = store.scratch, tags_of(plan)
@@ -278,13 +282,19 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
         "ripple rasters",
         lambda: write_ripple_rasters(store.output, results, shape, *place, tags, scratch),
     )
-    _attempt(outcome, "ripple cells", lambda: write_cells(store.output, results, *place, scratch))
+    _attempt(
+        outcome,
+        "ripple cells",
+        lambda: write_cells(store.output, results, *place, grid.size, scratch),
+    )
     path = store.output / "ripples.nc"
     found = outcome.cells, outcome.fused, labels, names
     _attempt(
         outcome,
         path.name,
-        lambda: write_ripples_netcdf(path, *found, shape, *place, tags, scratch, outcome.survey),
+        lambda: write_ripples_netcdf(
+            path, *found, shape, *place, grid.size, tags, scratch, outcome.survey
+        ),
     )
     _attempt(outcome, "ripple_extent.gpkg", lambda: [write_ripple_extent(plan, store, outcome)])
     if settings.keep_model:
@@ -295,13 +305,19 @@ def _write_model(plan: Plan, store: Store, outcome: Outcome) -> Path:
     grid, window = plan.opened.grid, plan.settings.window
     path = store.output / "modelled_amplitude.tif"
 
-    def model(row: int, column: int) -> Any:
+    def last(cell: tuple[int, int]) -> Any:
         """Modelled amplitude of the last pass that has one."""
-        for key in reversed(outcome.keys.get((row, column), [])):
+        for key in reversed(outcome.keys.get(cell, [])):
             found = None if key is None else store.load_arrays(key, ("model",))
             if found is not None:
                 return found[0]
         return None
+
+    def model(row: int, column: int) -> Any:
+        if plan.overlapping is None:
+            return last((row, column))
+        every = {s.cell: last(s.cell) for s in sharing(plan, (row, column))}
+        return blended(plan, (row, column), {k: v for k, v in every.items() if v is not None})
 
     amplitude = ModelledAmplitude(model, (grid.rows, grid.columns), window)
     bands = BY_FILE[path.name].bands

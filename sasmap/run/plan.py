@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from sasmap.errors import InputError
 from sasmap.run.class_models import ClassModel, read_model
 from sasmap.run.store import code_version, digest
 from sasmap.settings.survey import Survey
-from sasmap.survey.cells import Cell
+from sasmap.survey.cells import Cell, check_count
 from sasmap.survey.opening import OpenSurvey, check_kept, open_survey
 from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
 from sasmap.survey.tiles import Tile, hash_file
@@ -61,6 +61,8 @@ class Plan:
         Where sediments are known; empty unless the survey says.
     model : ClassModel or None
         Sediment classes of another survey.
+    overlapping : Plan or None
+        The same survey in cells that overlap, where ripples are estimated in such.
     """
 
     opened: OpenSurvey
@@ -71,6 +73,17 @@ class Plan:
     left_out: tuple[str, ...]
     training: tuple[Training, ...] = ()
     model: ClassModel | None = None
+    overlapping: Plan | None = None
+
+    @property
+    def ripples(self) -> Plan:
+        """The survey in the cells that ripples are estimated in."""
+        return self.overlapping or self
+
+    @property
+    def overlaps(self) -> bool:
+        """Whether neighbouring cells share pixels."""
+        return self.opened.grid.spacing < self.opened.grid.size
 
     @property
     def settings(self) -> Survey:
@@ -133,12 +146,7 @@ def make_plan(survey: Survey) -> Plan:
     """
     opened = open_survey(survey)
     swaths = tuple(Swath(p, side) for p in opened.passes for side in p.sides)
-    tiles = {p.name: tiles_of_cells(p, opened.grid) for p in opened.passes}
-    cells = {
-        cell: tuple(k for k, one in enumerate(swaths) if cell in tiles[one.sonar_pass.name])
-        for cell in sorted({cell for met in tiles.values() for cell in met})
-        if _called_for(opened, cell)
-    }
+    tiles, cells = _met(opened, swaths)
     if not cells:
         raise InputError(f"{survey.path}: area, exclude: they leave no cell of the survey")
     training = read_training(survey, opened.grid)
@@ -152,7 +160,34 @@ def make_plan(survey: Survey) -> Plan:
         files.add(path)
     check_kept(survey, files)
     hashes = {f: hash_file(f) for f in sorted(files)}
-    return Plan(opened, swaths, cells, tiles, hashes, tuple(_left_out(survey)), training, model)
+    plan = Plan(opened, swaths, cells, tiles, hashes, tuple(_left_out(survey)), training, model)
+    return replace(plan, overlapping=_overlapping(plan))
+
+
+def _met(
+    opened: OpenSurvey, swaths: tuple[Swath, ...]
+) -> tuple[dict[str, dict[Cell, tuple[Tile, ...]]], dict[Cell, tuple[int, ...]]]:
+    """Tiles that may show each cell of a survey's grid, by pass, and swaths that meet it."""
+    tiles = {p.name: tiles_of_cells(p, opened.grid) for p in opened.passes}
+    cells = {
+        cell: tuple(k for k, one in enumerate(swaths) if cell in tiles[one.sonar_pass.name])
+        for cell in sorted({cell for met in tiles.values() for cell in met})
+        if _called_for(opened, cell)
+    }
+    return tiles, cells
+
+
+def _overlapping(plan: Plan) -> Plan | None:
+    """Plan of the same survey in cells that overlap, if it asks for them."""
+    survey = plan.settings
+    if survey.ripples is None or survey.ripples.overlap == 0:
+        return None
+    pixels = max(round((1 - survey.ripples.overlap) * survey.window), 1)
+    grid = plan.opened.grid.overlapping(plan.opened.grid.size * pixels / survey.window)
+    check_count(grid, str(survey.path))
+    opened = replace(plan.opened, grid=grid)
+    tiles, cells = _met(opened, plan.swaths)
+    return replace(plan, opened=opened, tiles=tiles, cells=cells)
 
 
 def _called_for(opened: OpenSurvey, cell: Cell) -> bool:
@@ -244,10 +279,12 @@ def dates_of(plan: Plan) -> str:
 
 def describe(plan: Plan) -> Iterable[str]:
     """Tell what a plan would run, a line each."""
+    plan = plan.ripples
     grid = plan.opened.grid
     looks = [len(k) for k in plan.cells.values()]
+    apart = f", every {grid.spacing:g} m" if plan.overlaps else ""
     yield f"survey: {plan.settings.name}"
-    yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m"
+    yield f"cells: {grid.rows} rows x {grid.columns} columns of {grid.size:g} m{apart}"
     yield f"crs: {crs_name(grid.crs)}"
     for p in plan.opened.passes:
         met = sum(any(plan.swaths[k].sonar_pass is p for k in ks) for ks in plan.cells.values())

@@ -109,11 +109,19 @@ def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
         ]
         if not found:
             continue
+        shift = next((c.registration[k] for c in outcome.fused.values() if c.registration), (0, 0))
+        if any(shift):
+            yield (
+                f"{swath.label}: by the crests of all cells the pass lies {shift[0]:+.3f} m east "
+                f"and {shift[1]:+.3f} m north of the first, which is taken for registration, not "
+                "for migration."
+            )
         moved, sd = np.array(found).T
         clear = int((np.abs(moved) > SURE * np.hypot(sd, REGISTERED)).sum())
         yield (
             f"{swath.label}: crests lie {np.median(moved):+.3f} m from those of the first pass "
-            f"(median of {len(found)} cells; modulo a wavelength); {clear} of them clearly moved, "
+            f"(median of {len(found)} cells; modulo a wavelength"
+            f"{', registration taken off' if any(shift) else ''}); {clear} of them clearly moved, "
             f"if the passes are registered to {REGISTERED:g} m."
         )
 
@@ -154,8 +162,10 @@ def _passes(plan: Plan) -> Iterator[dict[str, Any]]:
 def _grid(plan: Plan) -> str:
     grid = plan.opened.grid
     rows, columns = _count(grid.rows, "row"), _count(grid.columns, "column")
+    apart = f", every {grid.spacing:g} m" if plan.overlaps else ""
     return (
-        f"{rows} and {columns} of cells of {grid.size:g} m, {plan.settings.window} pixels a side; "
+        f"{rows} and {columns} of cells of {grid.size:g} m{apart}, {plan.settings.window} pixels a "
+        "side; "
         f"{len(plan.cells)} of them meet a tile."
     )
 
@@ -226,14 +236,15 @@ def _convergence(outcome: Outcome) -> dict[str, Any] | None:
 
 def _classes(outcome: Outcome, names: Names) -> Iterator[dict[str, Any]]:
     for c in outcome.sediments:
+        law = c["law"] is not None  # objects have none
         yield {
             "number": c["number"],
             "name": c["name"],
             "colour": hexadecimal(names.sediments[c["number"]][1]),
-            "law": c["law"].replace("_", " "),
-            "nu": "∞" if c["nu"] is None else f"{c['nu']:.3g}",
-            "kappa": f"{c['kappa']:.3g}",
-            "intensity": f"{c['intensity_dB_over_first']:.1f}",
+            "law": c["law"].replace("_", " ") if law else "",
+            "nu": ("∞" if c["nu"] is None else f"{c['nu']:.3g}") if law else "",
+            "kappa": f"{c['kappa']:.3g}" if law else "",
+            "intensity": f"{c['intensity_dB_over_first']:.1f}" if law else "",
             "area": f"{c['area_m2']:,.0f}",
         }
 

@@ -16,19 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.io.canvas import Canvas
-from sasmap.numerics.threads import mapped
+from sasmap.numerics.threads import Workers, mapped
 from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
+from sasmap.sediments.carrying import carry_over
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
-from sasmap.sediments.segmentation import Classes, carry_over, find_classes, train_classes
+from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import MARGIN, SHARED
+from sasmap.sediments.training import train_classes
 
 # Pixels a side of the blocks that are classified at once, and around them that decide too.
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
 STEP, DEEPEST = 0.1, 12.7
+# What objects are called, and the share of what is found as one that is one (on simulated scenes).
+OBJECT, CERTAIN = "object", 0.9
 # Steps of the probability that is kept.
 PROBABILITY = 0.002
 # Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
@@ -102,6 +107,8 @@ class SedimentMap:
     surface : Surface
     rippled : Canvas of uint8 (rows, columns)
         1 where the floor is rippled.
+    objects : bool
+        Whether the map shows objects, which bear the number after the classes'.
     """
 
     label: Canvas
@@ -111,6 +118,12 @@ class SedimentMap:
     names: tuple[str, ...]
     surface: Surface
     rippled: Canvas
+    objects: bool = False
+
+    @property
+    def every_name(self) -> tuple[str, ...]:
+        """Names of all numbers of the map, from 1."""
+        return (*self.names, OBJECT) if self.objects else self.names
 
     def drawn(self) -> list[Drawn]:
         """Gather amplitudes of each class on the map, less gain and trend, of some blocks."""
@@ -120,8 +133,9 @@ class SedimentMap:
         power = np.zeros(len(top))
         for part in _thinned(self.surface.blocks(DRAWN_SIDE), DRAWN):
             label = self.label[part]
-            for k, look in enumerate(self.surface.part(part)):
-                trend = self.classes.log_trend(k, np.nan_to_num(look.cotangent, nan=1.0))
+            for k, look in enumerate(self.surface.part(part, self.classes.ranged)):
+                cotangent = np.nan_to_num(look.cotangent, nan=1.0)
+                trend = self.classes.log_trend(k, cotangent, look.altitude)
                 flat = look.amplitude * np.exp(-trend)
                 for i, count in enumerate(counts):
                     values = flat[(label == i + 1) & np.isfinite(flat)]
@@ -153,6 +167,17 @@ class SedimentMap:
         first = tuple(self.classes.laws[self.names.index(name)] for name in names)
         return replace(self, lines=lines, names=names, classes=replace(self.classes, laws=first))
 
+    def with_objects(self) -> SedimentMap:
+        """Mark objects on the map."""
+        there = False
+        for part in self.surface.blocks(SIDE):
+            things = self.surface.objects[part] > 0
+            if things.any():
+                self.label[part] = np.where(things, len(self.names) + 1, self.label[part])
+                self.confidence[part] = np.where(things, CERTAIN, self.confidence[part])
+                there = True
+        return replace(self, objects=there)
+
     def pixels(self) -> NDArray[np.int64]:
         """Count pixels by number of the class (256,)."""
         total = np.zeros(256, np.int64)
@@ -181,7 +206,7 @@ class SedimentMap:
         bands = self.classes.bands
         # a span of log amplitude
         gain = None if bands is None else _decibels(float(np.exp(2 * bands.span)))
-        return [
+        rows: list[dict[str, Any]] = [
             {
                 "number": i + 1,
                 "name": name,
@@ -199,6 +224,12 @@ class SedimentMap:
                 zip(self.names, self.classes.laws, drawn, strict=True)
             )
         ]
+        if self.objects:
+            nothing: dict[str, Any] = dict.fromkeys(rows[0])
+            area = round(float(pixels[len(rows) + 1]) * pixel_area, 3)
+            told = {"number": len(rows) + 1, "name": OBJECT, "area_m2": area}
+            rows.append({**nothing, **told, "taken_for_gain_by_range_dB": gain})
+        return rows
 
 
 def _decibels(ratio: float) -> float:
@@ -213,7 +244,7 @@ def map_sediments(
     ground: Ground,
     count: int | None,
     known: ClassModel | None,
-    workers: int | None,
+    workers: Workers,
     scratch: Path,
     stack: ExitStack,
     least: float = 0.0,
@@ -228,8 +259,8 @@ def map_sediments(
         Classes; found where None.
     known : ClassModel or None
         Classes with training, or of another survey.
-    workers : int or None
-        Threads.
+    workers : int, None or callable
+        Threads, or what spreads work.
     scratch : Path
         Folder of the rasters in the making.
     stack : ExitStack
@@ -253,7 +284,8 @@ def map_sediments(
     def canvas(name: str, dtype: str) -> Canvas:
         return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
 
-    surface = lay(ground, known, workers, scratch, stack, progress)
+    objects = known is None or known.objects
+    surface = lay(ground, known, workers, scratch, stack, progress, objects)
     classes = _classes(surface, count, known, workers)
     if classes is None:
         return None
@@ -278,7 +310,8 @@ def map_sediments(
     _mark_rippled(surface, final, max(least, FEWEST_RIPPLED), rippled, workers)
     names = known.names if known is not None else ()
     found = SedimentMap(final, confidence, tuple(lines), classes, names, surface, rippled)
-    return found.merged() if known is not None else _without_empty(found)
+    found = found.merged() if known is not None else _without_empty(found)
+    return found.with_objects()
 
 
 def _without_small(
@@ -286,7 +319,7 @@ def _without_small(
     label: Canvas,
     least: float,
     result: Canvas,
-    workers: int | None,
+    workers: Workers,
 ) -> Canvas:
     """Give patches of too few pixels to the class that is nearest, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))  # most patches are no longer than twice their root
@@ -300,7 +333,7 @@ def _without_small(
 
 
 def _mark_rippled(
-    surface: Surface, label: Canvas, least: float, result: Canvas, workers: int | None
+    surface: Surface, label: Canvas, least: float, result: Canvas, workers: Workers
 ) -> None:
     """Mark what is rippled of each class, but for patches of too few pixels, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))
@@ -346,7 +379,7 @@ def _classify(
 ) -> None:
     """Classify one block of pixels, with those around it in view."""
     wide, inner = surface.around(part, HALO if classes.texture is None else HALO + MARGIN)
-    likelihood = log_likelihoods(surface.part(wide), classes)
+    likelihood = log_likelihoods(surface.part(wide, classes.ranged), classes)
     found = class_map(likelihood, len(classes.laws), whole=wide == surface.whole)
     for layer, values in zip(kept, _quantised(likelihood[:, *inner]), strict=True):
         layer[part] = values
@@ -355,7 +388,7 @@ def _classify(
 
 
 def _classes(
-    surface: Surface, count: int | None, known: ClassModel | None, workers: int | None
+    surface: Surface, count: int | None, known: ClassModel | None, workers: Workers
 ) -> Classes | None:
     """Find, take over or learn classes; None where no look shows the floor."""
     looks = surface.slices()

@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import logging
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.catalogue import SEDIMENT_PRODUCTS
-from sasmap.errors import fault_of
 from sasmap.io.files import write_text
 from sasmap.products.sediments import write_sediments
 from sasmap.run.class_models import ClassModel, model_text
@@ -22,9 +21,10 @@ from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan, tags_of
 from sasmap.run.scheduling import Progress
 from sasmap.run.sediment_map import map_sediments
-from sasmap.run.sediment_surface import Ground
+from sasmap.run.sediment_surface import Fault, Ground
+from sasmap.run.spreading import Spread
 from sasmap.run.store import Store, code_version, digest
-from sasmap.run.task import Context, excluded_hash, read_floor, track_hash
+from sasmap.run.task import Context, Floor, excluded_hash, read_floor, track_hash
 from sasmap.survey.cells import Cell
 from sasmap.survey.tiles import hash_file
 from sasmap.survey.training import cells_shown, marked
@@ -40,12 +40,13 @@ def sediment_stage(
     outcome: Outcome,
     workers: int | None,
     progress: Progress | None = None,
+    client: Any = None,
 ) -> list[Path]:
     """Map sediments, or keep an earlier run's map of the same; returns the products."""
     key = _key(plan, outcome)
     kept = _kept(store, key)
     if kept is None:
-        return _map(plan, store, outcome, workers, key, progress)
+        return _map(plan, store, outcome, workers, key, progress, client)
     outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
     _warn(outcome)
     return [store.output / name for name in kept["files"]]
@@ -97,22 +98,29 @@ def _map(
     workers: int | None,
     key: str,
     progress: Progress | None,
+    client: Any,
 ) -> list[Path]:
     settings = plan.settings.sediments
     assert settings is not None
     grid, window = plan.opened.grid, plan.settings.window
-    reader = _Reader(plan, store, outcome)
-    ground = Ground(grid.rows, grid.columns, window, len(plan.swaths), reader)
+    context = Context(plan, store)
+    keys = {} if plan.overlapping else outcome.keys  # of other pixels than the map's
+
+    def read(row: int, column: int, k: int) -> Floor | None:
+        found = keys.get((row, column))
+        return read_floor(context, Cell(row, column), k, found[k] if found else None)
+
+    ground = Ground(grid.rows, grid.columns, window, len(plan.swaths), read)
     count = settings.classes if isinstance(settings.classes, int) else None
     transform = grid.pixels(window)
     with ExitStack() as stack:
-        threads = workers or os.cpu_count() or 1
+        spread = workers or os.cpu_count() or 1 if client is None else Spread(client)
         known = _known(plan)
         least = settings.least_area / abs(transform.determinant)
-        found = map_sediments(ground, count, known, threads, store.scratch, stack, least, progress)
-        reader.record(outcome)
+        found = map_sediments(ground, count, known, spread, store.scratch, stack, least, progress)
         if found is None:
             return []
+        _record(plan, outcome, found.surface.faults)
         codes = ("",) * len(found.names) if known is None else known.codes_of(found.names)
         written = write_sediments(
             store.output,
@@ -120,8 +128,8 @@ def _map(
             found.confidence,
             found.rippled,
             found.lines,
-            found.names,
-            codes,
+            found.every_name,
+            (*codes, "") if found.objects else codes,
             transform,
             grid.crs,
             tags_of(plan),
@@ -132,8 +140,12 @@ def _map(
         outcome.histograms = [one.histogram() for one in drawn]
     _warn(outcome)
     written.append(store.output / "sediment_classes.json")
-    write_text(written[-1], model_text(found.names, codes, found.classes), store.scratch)
-    if not reader.faults:
+    write_text(
+        written[-1],
+        model_text(found.names, codes, found.classes, found.surface.apart),
+        store.scratch,
+    )
+    if not found.surface.faults:
         _keep(store, key, outcome, written)
     return written
 
@@ -174,33 +186,11 @@ def _known(plan: Plan) -> ClassModel | None:
     return ClassModel(names, marks, tuple(cells_shown(plan.training, grid)))
 
 
-class _Reader:
-    """Reads looks at cells for the map, from several threads; keeps what cannot be read."""
-
-    def __init__(self, plan: Plan, store: Store, outcome: Outcome) -> None:
-        self._context = Context(plan, store)
-        self._keys = outcome.keys
-        self._lock = Lock()
-        self.faults: dict[tuple[int, int, int], str] = {}
-
-    def __call__(
-        self, row: int, column: int, k: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        keys = self._keys.get((row, column))
-        try:
-            return read_floor(self._context, Cell(row, column), k, keys[k] if keys else None)
-        except Exception as error:  # one cell's fault must not end the survey
-            with self._lock:
-                self.faults[row, column, k] = fault_of(error)
-            return None
-
-    def record(self, outcome: Outcome) -> None:
-        """Add what could not be read to a run's failures, unless the ripple stage has."""
-        known = {(f.get("row"), f.get("column"), f.get("pass")) for f in outcome.failures}
-        for (row, column, k), fault in sorted(self.faults.items()):
-            label = self._context.plan.swaths[k].label
-            if (row, column, label) not in known:
-                log.warning("cell row %d, column %d, pass %s: %s", row, column, label, fault)
-                outcome.failures.append(
-                    {"row": row, "column": column, "pass": label, "fault": fault}
-                )
+def _record(plan: Plan, outcome: Outcome, faults: Sequence[Fault]) -> None:
+    """Add what could not be read to a run's failures, unless the ripple stage has."""
+    known = {(f.get("row"), f.get("column"), f.get("pass")) for f in outcome.failures}
+    for row, column, k, fault in sorted(faults):
+        label = plan.swaths[k].label
+        if (row, column, label) not in known:
+            log.warning("cell row %d, column %d, pass %s: %s", row, column, label, fault)
+            outcome.failures.append({"row": row, "column": column, "pass": label, "fault": fault})

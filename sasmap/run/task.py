@@ -126,9 +126,8 @@ def _finished(
         if posterior.rippled is not None:
             arrays["rippled"] = _packed(plan, cell, pixels, posterior.rippled)
             arrays["reference"] = np.array(posterior.reference)
-    if plan.settings.sediments is not None and pixels is not None:
-        amplitude, cotangent = _floor(plan, cell, pixels)
-        arrays |= {"amplitude": amplitude, "cotangent": cotangent}
+    if plan.settings.sediments is not None and pixels is not None and not plan.overlaps:
+        arrays |= _floor(plan, cell, pixels)
     if arrays:
         store.save_arrays(key, arrays)
     store.save(key, summary)
@@ -256,13 +255,16 @@ def extent_beside(
     return _packed(plan, cell, clip, on_clip(clip, image, np.max(found, axis=0)))
 
 
-def _floor(plan: Plan, cell: Cell, pixels: Clip) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
-    """Amplitude and cotangent of grazing on a cell's own pixels."""
+def _floor(plan: Plan, cell: Cell, pixels: Clip) -> dict[str, NDArray[Any]]:
+    """Amplitude, cotangent of grazing and altitude on a cell's own pixels."""
     place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    amplitude = on_cell(pixels, known, *place)
     cotangent = on_cell(pixels, pixels.ground_range / pixels.altitude, *place)
-    return amplitude.astype(np.float32), np.minimum(cotangent, 6e4).astype(np.float16)
+    return {
+        "amplitude": on_cell(pixels, known, *place).astype(np.float32),
+        "cotangent": np.minimum(cotangent, 6e4).astype(np.float16),
+        "altitude": np.minimum(on_cell(pixels, pixels.altitude, *place), 6e4).astype(np.float16),
+    }
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
@@ -280,22 +282,17 @@ def clip_of(
     if window == 1:
         tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
         return read_clip(look.sonar_pass, grid, cell, side, tiles)
-    before = 0.5 * (window - 1)
-    square = CellGrid(
-        grid.crs,
-        grid.left + (cell.column - before) * grid.size,
-        grid.top - (cell.row - before) * grid.size,
-        window * grid.size,
-        1,
-        1,
-    )
+    left, _, _, top = grid.bounds(cell)
+    before, size = 0.5 * (window - 1) * grid.size, window * grid.size
+    square = CellGrid(grid.crs, left - before, top + before, size, 1, 1, size)
     return read_clip(look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look))
 
 
 def tiles_around(plan: Plan, cell: Cell, look: Swath) -> tuple[Tile, ...]:
-    """Tiles of a look's pass that show a cell or those around it, each once."""
-    met = plan.tiles[look.sonar_pass.name]
-    steps = (-1, 0, 1)
+    """Tiles of a look's pass that show a cell or what lies half a cell around it, each once."""
+    met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
+    reach = int(np.ceil(0.5 * (WIDER - 1) * grid.size / grid.spacing - 1e-9))
+    steps = range(-reach, reach + 1)
     cells = [Cell(cell.row + r, cell.column + c) for r in steps for c in steps]
     found = {tile.path: tile for one in cells for tile in met.get(one, ())}
     return tuple(found[path] for path in sorted(found))
@@ -331,7 +328,7 @@ def _key(plan: Plan, cell: Cell, look: Swath, prior: list[Any]) -> str:
             "code": code_version(),
             "seed": plan.settings.seed,
             "settings": _dumped(plan),
-            "grid": [grid.crs, repr(grid.left), repr(grid.top), repr(grid.size)],
+            "grid": [grid.crs, *(repr(v) for v in (grid.left, grid.top, grid.size, grid.spacing))],
             "cell": list(cell),
             "pass": [look.label, look.side, sonar_pass.slant, repr(sonar_pass.altitude_sd)],
             "numbers": [tile.kind for tile in tiles],
@@ -371,10 +368,11 @@ def track_hash(track: Track) -> str:
     return state.hexdigest()
 
 
-def read_floor(
-    context: Context, cell: Cell, k: int, key: str | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Read amplitude and cotangent of grazing on a cell's own pixels.
+Floor = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def read_floor(context: Context, cell: Cell, k: int, key: str | None) -> Floor | None:
+    """Read amplitude, cotangent of grazing and altitude on a cell's own pixels.
 
     Parameters
     ----------
@@ -399,11 +397,13 @@ def read_floor(
     look = plan.swaths[k]
     if k not in plan.cells.get(cell, ()):
         return None
-    kept = store.load_arrays(key, ("amplitude", "cotangent")) if key is not None else None
-    if kept is not None:
-        return kept[0].astype(float), kept[1].astype(float)
-    clip = clip_of(plan, cell, look, look.side)
-    if clip is None:
-        return None
-    amplitude, cotangent = _floor(plan, cell, Clip.from_array(clip))
-    return amplitude.astype(float), cotangent.astype(float)
+    names = ("amplitude", "cotangent", "altitude")
+    kept = store.load_arrays(key, names) if key is not None else None
+    if kept is None:
+        clip = clip_of(plan, cell, look, look.side)
+        if clip is None:
+            return None
+        floor = _floor(plan, cell, Clip.from_array(clip))
+        kept = [floor[name] for name in names]
+    first, second, third = (v.astype(float) for v in kept)
+    return first, second, third

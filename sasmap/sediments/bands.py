@@ -1,6 +1,8 @@
 """What of the level follows range over a whole line, and so may be gain or beam pattern.
 
-A gain of range alone is fitted to what it can be told by. Where looks from two sides or ranges see
+A gain of grazing angle (a beam pattern) or of slant range (time-varied gain) alone, whichever
+explains more where the altitude changes, is fitted to what it can be told by. Where looks from two
+sides or ranges see
 one block, the floor is the same in both and the difference is gain. Where one look alone does, all
 that follows range over its line is taken for gain: neighbouring blocks across range differ by it,
 but for those few between which a boundary runs. Those count for next to nothing (Geman-McClure
@@ -15,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.sediments.trends import Blocks, trend_of
+from sasmap.sediments.trends import Blocks, log_angle, log_reach, trend_of
 
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -31,31 +33,74 @@ DIFFERENT = 0.1
 SHARED = 0.3
 # Change of log gain from bin to bin (0.9 dB) from which its middle says little of a pixel's.
 STEEP = 0.1
+# Share of what gain by angle leaves unexplained that gain by range must not exceed to be preferred.
+BETTER = 0.97
+# Gain by range that makes no classes: log amplitude from the least to the greatest (0.4 dB).
+SLIGHT = 0.05
+# Log gain under its median (14 dB, as of blocks that are no sediment) that a bin has at least.
+LOWEST = 1.6
 # Weight that holds gains at 0 where nothing tells them, of that of one pair.
 RIDGE, ROUNDS = 1e-3, 30
 
 
 class Bands(NamedTuple):
-    """Log gain by range, of each look.
+    """Log gain by grazing angle or range, of each look.
 
     Attributes
     ----------
     places : tuple of ndarray
-        Rising log cotangents about the centre.
+        Rising log cotangents of the grazing angle, or logs of the slant range.
     gains : tuple of ndarray
-        Log gain at each; linear between.
+        Log gain at each; linear between. NaN where there is no floor: in the water column.
+    ranged : bool
+        Whether it goes by slant range.
     """
 
     places: tuple[FloatArray, ...]
     gains: tuple[FloatArray, ...]
+    ranged: bool = False
 
     @property
     def span(self) -> float:
         """Log gain from the least to the greatest of a look."""
-        return max(float(np.ptp(g)) for g in self.gains)
+        return max(float(np.nanmax(g) - np.nanmin(g)) for g in self.gains)
 
-    def of(self, look: int, place: FloatArray) -> FloatArray:
-        """Log gain of a look at log cotangents about the centre."""
+    def of(
+        self, look: int, cotangent: FloatArray, altitude: FloatArray | None = None
+    ) -> FloatArray:
+        """Log gain of a look at grazing angles, and altitudes where it goes by range.
+
+        Parameters
+        ----------
+        look : int
+        cotangent : ndarray
+        altitude : ndarray, optional
+            m.
+
+        Returns
+        -------
+        ndarray
+
+        Raises
+        ------
+        ValueError
+            Where gain goes by range and no altitude is given.
+        """
+        if not self.ranged:
+            return self._at(look, log_angle(cotangent))
+        if altitude is None:
+            raise ValueError("gain by range: expected altitudes")
+        return self._at(look, log_reach(cotangent, np.asarray(altitude, float)))
+
+    def of_block(self, look: int, blocks: Blocks) -> FloatArray:
+        """Log gain of a look at its blocks."""
+        return self._at(look, self.place(blocks))
+
+    def place(self, blocks: Blocks) -> FloatArray:
+        """Where blocks are."""
+        return blocks.reach if self.ranged else blocks.angle
+
+    def _at(self, look: int, place: FloatArray) -> FloatArray:
         return np.asarray(np.interp(place, self.places[look], self.gains[look]))
 
 
@@ -72,11 +117,59 @@ def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
     ndarray of bool (block rows, block columns)
     """
     result = np.zeros(blocks[0].mean.shape, bool)
-    for block, place, gain in zip(blocks, *bands, strict=True):
+    for block, place, gain in zip(blocks, bands.places, bands.gains, strict=True):
         jump = np.abs(np.diff(gain))
         most = np.maximum(np.append(jump, 0.0), np.append(0.0, jump))
-        result |= (block.known > 0) & (np.interp(block.place, place, most) > STEEP)
+        result |= (block.known > 0) & (np.interp(bands.place(block), place, most) > STEEP)
     return result
+
+
+def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: Bands) -> FloatArray:
+    """Take what follows angle, or range, off other statistics of a look's blocks.
+
+    Noise lies under the floor by range, and resolution goes with it: where gain does, so may they.
+
+    Parameters
+    ----------
+    values : ndarray (block rows, block columns)
+    known : ndarray of bool (block rows, block columns)
+    block : Blocks
+        Of the look.
+    bands : Bands
+        Whether by angle or range.
+
+    Returns
+    -------
+    ndarray (block rows, block columns)
+    """
+    if not known.any():
+        return values
+    place = bands.place(block)
+    at, bins = _binned([block._replace(place=place, known=known.astype(float))])
+    gain = np.nan_to_num(_solved(*_across(bins[0], np.where(known, values, 0.0), known), at.size))
+    return np.asarray(values - np.interp(place, at, gain))
+
+
+def leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
+    """Take bands off a look's blocks, off their level and off how it scatters.
+
+    Parameters
+    ----------
+    block : Blocks
+    bands : Bands
+    look : int
+
+    Returns
+    -------
+    Blocks
+        In the water column nothing is known.
+    """
+    spread = np.log(np.maximum(block.variance, 1e-6))
+    spread = evened(spread, block.known > 0, block, bands)
+    gain = bands.of_block(look, block)
+    there = np.isfinite(gain)
+    mean = np.where(there, block.mean - gain, 0.0)
+    return block._replace(mean=mean, variance=np.exp(spread), known=block.known * there)
 
 
 def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:
@@ -92,6 +185,30 @@ def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:
     Bands
     """
     levels = [b.mean - trend_of(t, b.place) for b, t in zip(blocks, trends, strict=True)]
+    found = _fitted(blocks, levels, False)
+    if all((b.reach[b.known > 0] != 0).all() for b in blocks):
+        ranged = _fitted(blocks, levels, True)
+        rest = [_left(blocks, levels, bands) for bands in (found, ranged)]
+        scale = 1.5 * np.median(np.abs(rest[0])) + 1e-9 if rest[0].size else 1.0
+        cost = [float(np.mean(v**2 / (v**2 + scale**2))) if v.size else 0.0 for v in rest]
+        if cost[1] < BETTER * cost[0]:
+            return ranged
+    return found
+
+
+def _left(blocks: Sequence[Blocks], levels: Sequence[FloatArray], bands: Bands) -> FloatArray:
+    """Differences of near blocks that gain does not explain."""
+    found = []
+    for k, (block, level) in enumerate(zip(blocks, levels, strict=True)):
+        number = np.arange(level.size).reshape(level.shape)
+        flat = level - bands.of_block(k, block)
+        found.append(_across(number, flat, (block.known > 0) & np.isfinite(flat))[2])
+    return np.concatenate(found)
+
+
+def _fitted(blocks: Sequence[Blocks], levels: Sequence[FloatArray], ranged: bool) -> Bands:
+    """Fit gain by angle, or by range."""
+    blocks = [b._replace(place=b.reach if ranged else b.angle) for b in blocks]
     partners = _partners(blocks)
     alone = [k for k in range(len(blocks)) if not partners[k]]
     places, gains = [np.zeros(1)] * len(blocks), [np.zeros(1)] * len(blocks)
@@ -118,7 +235,7 @@ def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:
         )
         for k in rest:
             places[k], gains[k] = at, found
-    return Bands(tuple(places), tuple(gains))
+    return Bands(tuple(places), tuple(gains), ranged)
 
 
 def _partners(blocks: Sequence[Blocks]) -> list[list[int]]:
@@ -173,7 +290,7 @@ def _across(
 
 
 def _solved(first: Index, second: Index, change: FloatArray, count: int) -> FloatArray:
-    """Gains of bins that explain differences (first less second), robustly; their mean is 0."""
+    """Gains of bins that explain differences (first less second), robustly; about 0."""
     gain = np.zeros(count)
     if change.size < 2 * count:
         return gain
@@ -188,4 +305,6 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
         right = np.bincount(first, weight * change, minlength=count)
         right -= np.bincount(second, weight * change, minlength=count)
         gain = np.linalg.solve(matrix, right)
-    return np.asarray(gain - gain.mean())
+    gain -= gain.mean()
+    # so far below it is the water column, not a beam pattern
+    return np.where(gain < np.median(gain) - LOWEST, np.nan, gain)

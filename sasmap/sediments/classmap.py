@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
-from scipy.ndimage import label as measure_label
+from skimage.measure import label as measure_label
 
+from sasmap.sediments.classes import Classes
 from sasmap.sediments.field import mean_field, table_sums, window_sums
-from sasmap.sediments.segmentation import Classes
 from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
 
@@ -57,7 +57,11 @@ def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.f
     table = np.stack([law.log_density(np.exp(grid)) for law in laws])
     for i, look in enumerate(looks):
         known = np.isfinite(look.amplitude) & (look.amplitude > 0)
-        logs = np.log(look.amplitude[known]) - classes.log_trend(i, look.cotangent[known])
+        altitude = None if look.altitude is None else look.altitude[known]
+        trend = classes.log_trend(i, look.cotangent[known], altitude)
+        logs = np.log(look.amplitude[known]) - trend
+        floor = np.isfinite(logs)  # gain is not known in the water column
+        logs, known[known] = logs[floor], floor
         where = np.flatnonzero(known)
         table_sums(logs, where, table, grid[0], float(step), 1 / classes.noise_factor, flat)
         seen |= known
@@ -77,7 +81,8 @@ def _with_texture(
         if not known.any():
             continue
         logs = np.log(np.where(known, look.amplitude, np.nan))
-        logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0))
+        logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0), look.altitude)
+        known = np.isfinite(logs)
         odds = evidence(texture, channels(logs))
         result[: len(classes.laws)] += np.nan_to_num(odds)
         seen += known
@@ -159,21 +164,19 @@ def sieved(
     -------
     ndarray of uint8 (rows, columns)
     """
-    small = np.zeros(label.shape, bool)
-    for k in np.unique(label[label > 0]):
-        parts, _ = measure_label(label == k)
-        few = np.bincount(parts.ravel()) < smallest
-        if not whole:
-            for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
-                few[edge] = False
-        few[0] = False
-        small |= few[parts]
-    if not small.any() or (small | (label == 0)).all():
+    parts = measure_label(label, background=0, connectivity=1)
+    few = np.bincount(parts.ravel()) < smallest
+    if not whole:
+        for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+            few[edge] = False
+    few[0] = False
+    if not few.any():
         return label
-    nearest = distance_transform_edt(
-        small | (label == 0), return_distances=False, return_indices=True
-    )
-    return np.where(small, label[tuple(nearest)], label).astype(np.uint8)
+    lost = few[parts] | (label == 0)
+    if lost.all():
+        return label
+    nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
+    return np.where(label > 0, label[tuple(nearest)], label).astype(np.uint8)
 
 
 def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:

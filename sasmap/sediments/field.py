@@ -6,13 +6,13 @@ import numba
 import numpy as np
 
 # Pixels a side of the tiles that are updated or, where nothing near them has changed, left alone.
-TILE = 32
+TILE = 8
 # Change of a share that keeps a tile and its neighbours in play.
 STILL = 1e-2
 # Share from which a class is beyond doubt.
 SURE = 0.999
-# Entries a nat of the table of powers.
-FINE = 64
+# Nats below the likeliest class at which a share is as good as none.
+DEEPEST = np.float32(-16.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -77,28 +77,43 @@ def mean_field(level, seen, share, window, strength, rounds):  # type: ignore[no
     moved = np.zeros((down, across), np.bool_)
     for i in range(down):
         for j in range(across):
-            top, bottom, left, right = _box(i, j, rows, columns)
+            top, bottom, left, right = _box(i, j, j + 1, rows, columns)
             part = share[:, top:bottom, left:right]
             moved[i, j] = _doubtful(part, seen[top:bottom, left:right])
-    powers = np.exp(-np.arange(16 * FINE) / FINE)
     old = share.copy()
     for _ in range(rounds):
-        active = _spread(moved)
+        runs = _runs(_spread(moved))
         moved[:] = False
-        for i, j in np.argwhere(active):
-            box = _box(i, j, rows, columns)
-            moved[i, j] = _update(level, seen, old, share, box, window // 2, strength, powers)
+        for i, first, last in runs:
+            box = _box(i, first, last, rows, columns)
+            _update(level, seen, old, share, box, window // 2, strength, moved[i, first:last])
         if not moved.any():
             return
-        for i, j in np.argwhere(active):
-            top, bottom, left, right = _box(i, j, rows, columns)
-            old[:, top:bottom, left:right] = share[:, top:bottom, left:right]
+        for i, first, last in runs:
+            top, bottom, left, right = _box(i, first, last, rows, columns)
+            for k in range(len(level)):
+                for r in range(top, bottom):
+                    old[k, r, left:right] = share[k, r, left:right]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _box(i, j, rows, columns):  # type: ignore[no-untyped-def]
-    """First and last rows and columns of a tile."""
-    return i * TILE, min((i + 1) * TILE, rows), j * TILE, min((j + 1) * TILE, columns)
+def _runs(active):  # type: ignore[no-untyped-def]
+    """Rows, firsts and ends of stretches of active tiles."""
+    runs = [(0, 0, 0)]
+    for i in range(active.shape[0]):
+        first = 0
+        for j in range(active.shape[1] + 1):
+            if j == active.shape[1] or not active[i, j]:
+                if j > first:
+                    runs.append((i, first, j))
+                first = j + 1
+    return runs[1:]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _box(i, first, last, rows, columns):  # type: ignore[no-untyped-def]
+    """First and last rows and columns of tiles beside each other."""
+    return i * TILE, min((i + 1) * TILE, rows), first * TILE, min(last * TILE, columns)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -127,40 +142,106 @@ def _doubtful(share, seen):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _update(level, seen, old, share, box, half, strength, powers):  # type: ignore[no-untyped-def]
-    """Update one tile's shares from the old ones around it; whether any has moved."""
+def _update(level, seen, old, share, box, half, strength, moved):  # type: ignore[no-untyped-def]
+    """Update tiles' shares from the old ones around them; mark those that have moved.
+
+    In rows of single precision, which the compiler does many at a time.
+    """
     top, bottom, left, right = box
-    classes = level.shape[0]
-    sums = np.zeros((classes, bottom - top, right - left))
+    classes, rows, columns = level.shape
+    width = right - left
+    low, high = max(left - half, 0), min(right + half, columns)
+    down = np.zeros((classes, width + 2 * half), np.float32)
+    first = low - left + half
     for k in range(classes):
-        _sum_boxes(old[k], box, half, sums[k])
-    moved = False
-    logs = np.empty(classes)
-    for r in range(bottom - top):
-        for c in range(right - left):
-            if not seen[top + r, left + c]:
-                continue
-            total = 1e-6
-            for k in range(classes):
-                total += sums[k, r, c]
-            highest = -np.inf
-            for k in range(classes):
-                logs[k] = level[k, top + r, left + c] + strength * sums[k, r, c] / total
-                highest = max(highest, logs[k])
-            mass = 0.0
-            for k in range(classes):
-                place = FINE * (highest - logs[k])
-                j = int(place)
-                if j < powers.size - 1:
-                    logs[k] = powers[j] + (place - j) * (powers[j + 1] - powers[j])
-                    mass += logs[k]
-                else:
-                    logs[k] = 0.0
-            for k in range(classes):
-                value = logs[k] / mass
-                moved = moved or abs(value - old[k, top + r, left + c]) > STILL
-                share[k, top + r, left + c] = value
-    return moved
+        for r in range(max(top - half, 0), min(top + half, rows)):
+            _add(down[k, first : first + high - low], old[k, r, low:high], np.float32(1.0))
+    sums = np.empty((classes, width), np.float32)
+    change = np.zeros(width, np.float32)
+    buffers = np.empty((3, width), np.float32)
+    for r in range(top, bottom):
+        for k in range(classes):
+            _lowered(down[k, first : first + high - low], old[k], r, r > top, half, low)
+            _widened(down[k], 2 * half + 1, sums[k])
+        buffers[0], buffers[1] = np.float32(1e-6), np.float32(-3e38)
+        buffers[2] = np.float32(0.0)
+        for k in range(classes):
+            _add(buffers[0], sums[k], np.float32(1.0))
+        for k in range(classes):
+            _raised(sums[k], level[k, r, left:right], np.float32(strength), buffers[0], buffers[1])
+        for k in range(classes):
+            _exponentials(sums[k], buffers[1], buffers[2])
+        for k in range(classes):
+            _settled(
+                sums[k],
+                buffers[2],
+                seen[r, left:right],
+                old[k, r, left:right],
+                share[k, r, left:right],
+                change,
+            )
+    for k in range(moved.size):
+        moved[k] = moved[k] or change[k * TILE : (k + 1) * TILE].max() > STILL
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _lowered(down, old, r, later, half, low):  # type: ignore[no-untyped-def]
+    """Move sums of columns on to the next row: one row more, and one less but for the first."""
+    high = low + down.size
+    if r + half < len(old):
+        _add(down, old[r + half, low:high], np.float32(1.0))
+    if later and r - half - 1 >= 0:
+        _add(down, old[r - half - 1, low:high], np.float32(-1.0))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _widened(down, width, sums):  # type: ignore[no-untyped-def]
+    """Sum columns over windows."""
+    sums[:] = down[: sums.size]
+    for j in range(1, width):
+        _add(sums, down[j : j + sums.size], np.float32(1.0))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add(sums, values, sign):  # type: ignore[no-untyped-def]
+    """Add a row to another, or take it off."""
+    for c in range(sums.size):
+        sums[c] += sign * values[c]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _raised(sums, level, strength, total, top):  # type: ignore[no-untyped-def]
+    """Turn sums of one class's shares into logs of its own share; keep the highest."""
+    for c in range(sums.size):
+        value = level[c] + strength * sums[c] / total[c]
+        sums[c] = value
+        top[c] = value if value > top[c] else top[c]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _exponentials(logs, top, mass):  # type: ignore[no-untyped-def]
+    """Turn logs into shares up to their sum, which is kept.
+
+    exp(x) as (1 + x / 1024)^1024: to 0.1 % where it counts.
+    """
+    for c in range(logs.size):
+        x = logs[c] - top[c]
+        x = x if x > DEEPEST else DEEPEST
+        e = np.float32(1.0) + x * np.float32(1.0 / 1024.0)
+        for _ in range(10):
+            e = e * e
+        logs[c] = e
+        mass[c] += e
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _settled(values, mass, seen, old, share, change):  # type: ignore[no-untyped-def]
+    """Write shares of one class, 0 where nothing is seen, and how far they have moved."""
+    for c in range(values.size):
+        value = values[c] / mass[c] if seen[c] else np.float32(0.0)
+        away = abs(value - old[c])
+        change[c] = away if away > change[c] else change[c]
+        share[c] = value
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.numerics.threads import mapped
+from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.bands import Bands
 from sasmap.sediments.trends import (
     BLOCK,
@@ -64,10 +64,11 @@ class Flat:
 
     def __getitem__(self, part: Any) -> FloatArray:
         """Return amplitudes of a part; NaN where there is none."""
-        place = log_cotangent(np.asarray(self.look.cotangent[part], float)) - self.centre
-        gain = trend_of(self.trend, place)
+        cotangent = np.asarray(self.look.cotangent[part], float)
+        gain = trend_of(self.trend, log_cotangent(cotangent) - self.centre)
         if self.bands is not None:
-            gain = gain + self.bands.of(self.number, place)
+            altitude = None if self.look.altitude is None else self.look.altitude[part]
+            gain = gain + self.bands.of(self.number, cotangent, altitude)
         return np.asarray(self.look.amplitude[part] * np.exp(-gain))
 
     def logs(self, part: Any) -> FloatArray:
@@ -94,7 +95,7 @@ def blocks_in(part: Part) -> Part:
 
 
 def gather(
-    looks: Sequence[AmplitudeGrid], centre: float | None, workers: int | None = 1
+    looks: Sequence[AmplitudeGrid], centre: float | None, workers: Workers = 1
 ) -> tuple[list[Blocks], float]:
     """Gather statistics of the blocks of all looks.
 
@@ -104,8 +105,8 @@ def gather(
         On one lattice; slices are read.
     centre : float or None
         Log cotangent that the blocks' places are about; their mean where None.
-    workers : int or None
-        Threads.
+    workers : int, None or callable
+        Threads, or what spreads work.
 
     Returns
     -------
@@ -120,19 +121,17 @@ def gather(
     """
     shape = looks[0].amplitude.shape
     lattice = shape[0] // BLOCK, shape[1] // BLOCK
-    found = [Blocks(*(np.zeros(lattice) for _ in range(4))) for _ in looks]
+    found = [Blocks(*(np.zeros(lattice) for _ in Blocks._fields)) for _ in looks]
+    every = list(product(range(len(looks)), tiles(shape)))
 
-    def read(at: tuple[int, Part]) -> None:
+    def read(at: tuple[int, Part]) -> Blocks:
         k, part = at
-        look = AmplitudeGrid(
-            np.asarray(looks[k].amplitude[part], float), np.asarray(looks[k].cotangent[part], float)
-        )
-        here = blocks_in(part)
-        for target, values in zip(found[k], block_statistics(look, 0.0), strict=True):
-            target[here] = values
+        rasters = (None if v is None else np.asarray(v[part], float) for v in looks[k])
+        return block_statistics(AmplitudeGrid(*rasters), 0.0)
 
-    for _ in mapped(read, product(range(len(looks)), tiles(shape)), workers):
-        pass
+    for (k, part), told in zip(every, mapped(read, every, workers), strict=True):
+        for target, values in zip(found[k], told, strict=True):
+            target[blocks_in(part)] = values
     if not any((b.known > 0).any() for b in found):
         raise ValueError("expected a block of known amplitudes")
     if centre is None:

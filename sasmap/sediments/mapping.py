@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
-from sasmap.numerics.threads import mapped
+from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.nodes import Boundary, normals, refine_boundary
 
 FloatArray = NDArray[np.float64]
@@ -88,7 +88,7 @@ def refine_map(label: Labels, likelihood: Sequence[Any]) -> RefinedMap:
 def refined(
     found: Iterable[tuple[int, int, FloatArray, bool]],
     likelihood: Sequence[Any],
-    workers: int | None = 1,
+    workers: Workers = 1,
 ) -> list[Line]:
     """Refine traced lines.
 
@@ -98,8 +98,8 @@ def refined(
         Of :func:`traced`.
     likelihood : sequence of array (rows, columns)
         One a class; only slices are read, from several threads.
-    workers : int, optional
-        Threads.
+    workers : int, None or callable
+        Threads, or what spreads work.
 
     Returns
     -------

@@ -10,12 +10,13 @@ deviation is that of its marginal posterior (forward and backward).
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 
@@ -27,6 +28,8 @@ SPACING, REACH, STEP = 4.0, 14.0, 0.5
 LINES, ALONG = 4, 0.5
 # Widths of the prior tried: pixels by which one node moves beyond the next (standard deviation).
 WIDTHS = (0.25, 0.5, 1.0, 2.0)
+# Widths beyond which a neighbour counts for nothing, and the least prior of any leap.
+FAR, TINY = 6.0, 1e-60
 ROUNDS, STILL = 12, 0.3
 # Nodes around which pixels are read at once.
 READ = 128
@@ -183,41 +186,68 @@ def normals(nodes: FloatArray, closed: bool) -> FloatArray:
 def _scores(nodes: FloatArray, ratio: Any, places: FloatArray, closed: bool) -> FloatArray:
     """Log likelihood of each place of each node (nodes, places), up to a constant a node."""
     normal = normals(nodes, closed)
+    reach = float(places[-1]) + 1.0
+    ahead, behind = (_neighbours(nodes, step, closed) for step in (1, -1))
+    # points on lines lie between the outermost of a node and its neighbours
+    every = np.stack([nodes, ahead, behind])
+    corners = every.min(axis=0) - reach, every.max(axis=0) + reach
     total = np.zeros((len(nodes), places.size))
-    fine = np.arange(places[0], places[-1] + 0.25 * ALONG, ALONG)
-    for line in (np.arange(LINES) + 0.5) / LINES - 0.5:  # of the way to the neighbours
-        origin = _between(nodes, line, closed)
-        across = _between(normal, line, closed)
-        at = origin[:, None] + fine[None, :, None] * across[:, None]
-        values = np.concatenate(
-            [_sampled(ratio, at[k : k + READ]) for k in range(0, len(nodes), READ)]
+    for first in range(0, len(nodes), READ):
+        part = slice(first, first + READ)
+        ends = corners[0][part].min(axis=0), corners[1][part].max(axis=0)
+        box = [
+            slice(max(int(low), 0), max(min(int(high) + 2, n), 1))
+            for low, high, n in zip(*ends, ratio.shape, strict=True)
+        ]
+        box = [slice(min(s.start, s.stop - 1), s.stop) for s in box]
+        values = np.nan_to_num(np.asarray(ratio[box[0], box[1]], float))
+        corner = np.array([box[0].start, box[1].start], float)
+        _add_scores(
+            values, nodes - corner, normal, closed, places, (first, len(total[part])), total
         )
-        ends = np.concatenate([np.zeros((len(nodes), 1)), np.cumsum(values, axis=1)], axis=1)
-        # to each place, what lies left of it
-        passed = 0.5 * (ends[:, :-1] + ends[:, 1:])
-        total += np.stack([np.interp(places, fine, row) for row in passed])
     area = _lengths(nodes, closed) * ALONG / LINES  # pixels that a point on a line stands for
     return np.asarray(total * area[:, None])
 
 
-def _sampled(ratio: Any, at: FloatArray) -> FloatArray:
-    """Values at places (..., 2), linear between pixels; beyond the edges those at the edges."""
-    rows, columns = ratio.shape
-    at = np.clip(at, 0, (rows - 1, columns - 1))
-    low = np.floor(at.min(axis=(0, 1))).astype(int)
-    high = np.ceil(at.max(axis=(0, 1))).astype(int) + 1
-    part = np.nan_to_num(np.asarray(ratio[low[0] : high[0], low[1] : high[1]], float))
-    where = np.moveaxis(at - low, -1, 0)
-    return np.asarray(map_coordinates(part, where, order=1, mode="nearest"))
-
-
-def _between(values: FloatArray, share: float, closed: bool) -> FloatArray:
-    """Values a share of the way to the next (or, below 0, the previous) node."""
-    step = -1 if share > 0 else 1
-    other = np.roll(values, step, axis=0)
+def _neighbours(values: FloatArray, step: int, closed: bool) -> FloatArray:
+    """Each node's next (1) or previous (-1); at an open end itself."""
+    other = np.roll(values, -step, axis=0)
     if not closed:
-        other[-1 if share > 0 else 0] = values[-1 if share > 0 else 0]
-    return np.asarray(values + abs(share) * (other - values))
+        end = -1 if step > 0 else 0
+        other[end] = values[end]
+    return other
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_scores(values, nodes, normal, closed, places, part, total):  # type: ignore[no-untyped-def]
+    """Add up, along lines beside each node of a part, what lies left of each place."""
+    rows, columns = values.shape
+    count = len(nodes)
+    for i in range(part[0], part[0] + part[1]):
+        for line in range(LINES):
+            way = (line + 0.5) / LINES - 0.5  # to the next node, or below 0 to the previous one
+            other = i + 1 if way > 0.0 else i - 1
+            if other < 0 or other >= count:
+                other = other % count if closed else i
+            way = abs(way)
+            row = nodes[i, 0] + way * (nodes[other, 0] - nodes[i, 0])
+            column = nodes[i, 1] + way * (nodes[other, 1] - nodes[i, 1])
+            down = normal[i, 0] + way * (normal[other, 0] - normal[i, 0])
+            across = normal[i, 1] + way * (normal[other, 1] - normal[i, 1])
+            passed = 0.0
+            for k in range(places.size):
+                r = min(max(row + places[k] * down, 0.0), rows - 1.0)
+                c = min(max(column + places[k] * across, 0.0), columns - 1.0)
+                top, left = int(r), int(c)
+                low, right = min(top + 1, rows - 1), min(left + 1, columns - 1)
+                r -= top
+                c -= left
+                above = values[top, left] + c * (values[top, right] - values[top, left])
+                below = values[low, left] + c * (values[low, right] - values[low, left])
+                value = above + r * (below - above)
+                # of the point itself half lies left
+                total[i, k] += passed + 0.5 * value
+                passed += value
 
 
 def _lengths(nodes: FloatArray, closed: bool) -> FloatArray:
@@ -229,6 +259,7 @@ def _lengths(nodes: FloatArray, closed: bool) -> FloatArray:
     return np.asarray(0.5 * (np.append(step, step[-1]) + np.append(step[0], step)))
 
 
+@cache
 def _link(n: int, width: float) -> FloatArray:
     """Log prior of one node's place given its neighbour's (n, n).
 
@@ -240,34 +271,56 @@ def _link(n: int, width: float) -> FloatArray:
     return np.asarray(-0.5 * (apart / width) ** 2 - norm)
 
 
+@cache
+def _near(n: int, width: float) -> FloatArray:
+    """Prior of a neighbour so many places away, from 0 on, as far as it counts."""
+    far = min(int(np.ceil(FAR * width / STEP)) + 1, n)
+    return np.asarray(np.exp(_link(n, width)[0, :far]))
+
+
 def _best_width(score: FloatArray) -> float:
     """Width of the prior under which the image is most likely."""
-    return max(WIDTHS, key=lambda width: float(logsumexp(_forward(score, width)[-1])))
+    mass = _masses(score)
+    return max(WIDTHS, key=lambda width: _passed_on(mass, _near(score.shape[1], width))[1])
 
 
-def _forward(score: FloatArray, width: float) -> FloatArray:
-    first = score[0] - np.log(score.shape[1])
-    return np.asarray(_passed_on(score, first, np.exp(_link(score.shape[1], width))))
+def _masses(score: FloatArray) -> FloatArray:
+    """Likelihood of each place over that of the node's best."""
+    return np.asarray(np.exp(score - score.max(axis=1, keepdims=True)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _passed_on(score, first, link):  # type: ignore[no-untyped-def]
-    """Add up, node by node, the log of all paths that lead to each place."""
-    result = np.empty_like(score)
-    result[0] = first
-    for i in range(1, len(score)):
-        top = result[i - 1].max()
-        mass = np.exp(result[i - 1] - top) @ link
-        result[i] = score[i] + top + np.log(mass + 1e-300)
-    return result
+def _passed_on(mass, near):  # type: ignore[no-untyped-def]
+    """Share of all paths up to each node that lead to each place, and the log of their mass."""
+    nodes, places = mass.shape
+    result = np.empty_like(mass)
+    level = np.log(mass[0].sum())
+    result[0] = mass[0] / mass[0].sum()
+    for i in range(1, nodes):
+        total = 0.0
+        for k in range(places):
+            came = near[0] * result[i - 1, k]
+            for j in range(1, near.size):
+                if k >= j:
+                    came += near[j] * result[i - 1, k - j]
+                if k + j < places:
+                    came += near[j] * result[i - 1, k + j]
+            # no leap is impossible
+            result[i, k] = mass[i, k] * (came + TINY)
+            total += result[i, k]
+        result[i] /= total
+        level += np.log(total)
+    return result, level
 
 
 def _marginals(score: FloatArray, width: float) -> FloatArray:
     """Posterior of each node's place (nodes, places)."""
-    link = np.exp(_link(score.shape[1], width))
-    back = _passed_on(score[::-1].copy(), score[-1], link)[::-1]
-    both = _forward(score, width) + back - score  # each holds the node's own
-    return np.asarray(np.exp(both - logsumexp(both, axis=1, keepdims=True)))
+    mass = _masses(score)
+    near = _near(score.shape[1], width)
+    ahead, _ = _passed_on(mass, near)
+    back, _ = _passed_on(mass[::-1].copy(), near)
+    both = ahead * back[::-1] / np.maximum(mass, TINY)  # each holds the node's own
+    return np.asarray(both / both.sum(axis=1, keepdims=True))
 
 
 def _best_path(score: FloatArray, width: float, closed: bool) -> NDArray[np.int64]:

@@ -84,29 +84,58 @@ def channels(logs: NDArray[np.floating]) -> Single:
     """
     known = np.isfinite(logs)
     every = bool(known.all())
-    power = np.exp(2 * np.where(known, logs, 0.0)) * known
-    share = known.astype(float)
+    # single precision holds squares of amplitudes about the middle one, whatever their unit
+    middle = float(np.rint(np.mean(logs, where=known))) if known.any() else 0.0
+    level = np.where(known, logs - middle, 0.0).astype(np.float32)
+    sums = _padded(np.exp(2 * level) * known)
+    shares = None if every else _padded(known.astype(np.float32))
     result = np.full((CHANNELS, *logs.shape), np.nan, np.float32)
     for k, scale in enumerate(SCALES):
-        level = 0.5 * np.log(np.maximum(_box(power, share, scale, every), 1e-300))
-        result[k] = np.where(known, level, np.nan)
+        if scale > 1:
+            sums = _doubled(sums, scale // 2)
+            shares = None if shares is None else _doubled(shares, scale // 2)
+            mean: NDArray[np.floating] = _inner(sums, scale, logs.shape)
+            if shares is None:
+                mean = mean / scale**2
+            else:
+                mean = mean / np.maximum(_inner(shares, scale, logs.shape), 1)
+            level = np.log(np.maximum(mean, np.float32(1e-37))) * np.float32(0.5)
+        result[k] = level + np.float32(middle)
         if scale in LAGS:
-            apart = np.hypot(_apart(level, known, 0, scale), _apart(level, known, 1, scale))
-            result[len(SCALES) + LAGS.index(scale)] = np.where(known, apart, np.nan)
+            down, across = (_apart(level, None if every else known, axis, scale) for axis in (0, 1))
+            result[len(SCALES) + LAGS.index(scale)] = np.sqrt(down * down + across * across)
+    if not every:
+        result[:, ~known] = np.nan
     return result
 
 
-def _box(values: FloatArray, share: FloatArray, side: int, every: bool) -> FloatArray:
+def _padded(values: Single) -> Single:
+    """Mirror an image at its edges as far as the widest square reaches."""
+    half = SCALES[-1] // 2
+    return np.pad(values, ((half, half - 1), (half, half - 1)), "symmetric")
+
+
+def _doubled(sums: Single, side: int) -> Single:
+    """Add up squares of twice the side, of those that begin at each pixel."""
+    sums = sums[:-side] + sums[side:]
+    return np.asarray(sums[:, :-side] + sums[:, side:])
+
+
+def _inner(sums: Single, side: int, shape: tuple[int, ...]) -> Single:
+    """Cut out the sums about each pixel, one pixel more before it than after."""
+    first = SCALES[-1] // 2 - side // 2
+    return sums[first : first + shape[0], first : first + shape[1]]
+
+
+def _box(values: Single, share: Single, side: int, every: bool) -> Single:
     """Mean of what is known over squares."""
-    if side == 1:
-        return values
     mean = uniform_filter(values, side, mode="reflect")
     if every:
         return np.asarray(mean)
     return np.asarray(mean / np.maximum(uniform_filter(share, side, mode="reflect"), 1e-9))
 
 
-def _apart(level: FloatArray, known: NDArray[np.bool_], axis: int, lag: int) -> FloatArray:
+def _apart(level: Single, known: NDArray[np.bool_] | None, axis: int, lag: int) -> Single:
     """Difference across each pixel; 0 where either side is unknown."""
     ahead, behind = lag - lag // 2, lag // 2
 
@@ -114,8 +143,10 @@ def _apart(level: FloatArray, known: NDArray[np.bool_], axis: int, lag: int) -> 
         index = np.clip(np.arange(values.shape[axis]) + step, 0, values.shape[axis] - 1)
         return np.take(values, index, axis)
 
-    both = moved(known, ahead) & moved(known, -behind)
-    return np.where(both, moved(level, ahead) - moved(level, -behind), 0.0)
+    apart = moved(level, ahead) - moved(level, -behind)
+    if known is not None:
+        apart *= moved(known, ahead) & moved(known, -behind)
+    return np.asarray(apart)
 
 
 def learn(
@@ -192,14 +223,32 @@ def _smoothed(
 ) -> FloatArray:
     """Log ratios of laws over windows at chosen pixels (channels x classes - 1 x windows, n)."""
     known = np.isfinite(found[0])
-    share, every = known.astype(np.float32), bool(known.all())
+    shares = _window_sums(known.astype(np.float32), chosen)
     rows = []
     for c in range(CHANNELS):
         bins = _binned(found[c], low[c], high[c])
         for table in ratio[c, 1:]:
-            values = (table.astype(np.float32)[bins]) * share
-            rows += [_box(values, share, w, every)[chosen] for w in WINDOWS]
+            values = table.astype(np.float32)[bins] * known
+            rows += list(_window_sums(values, chosen) / shares)
     return np.array(rows, np.float64)
+
+
+def _window_sums(values: Single, chosen: tuple[NDArray[np.int64], ...]) -> FloatArray:
+    """Add up all windows about chosen pixels (windows, n), mirrored at the edges."""
+    half = WINDOWS[-1] // 2
+    wide = np.pad(values, half, "symmetric").astype(float)
+    total = np.pad(wide.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = []
+    for window in WINDOWS:
+        first, last = half - window // 2, half + window // 2 + 1
+        rows, columns = ((c + first, c + last) for c in chosen)
+        sums.append(
+            total[rows[1], columns[1]]
+            - total[rows[0], columns[1]]
+            - total[rows[1], columns[0]]
+            + total[rows[0], columns[0]]
+        )
+    return np.array(sums)
 
 
 def _weights(

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 BLOCK = 16
+# Least cotangent of a grazing angle that is told apart: 3 degrees off the vertical.
+STEEPEST = 0.05
 # Of a block's pixels, how many must be known.
 MIN_KNOWN = 0.6
 # Blocks apart, at most, of pairs that tell the trend.
@@ -33,24 +35,51 @@ class AmplitudeGrid(NamedTuple):
         NaN where there is none, or no sediment (shadow, water column). Where said, slices are read.
     cotangent : array (rows, columns)
         Of the grazing angle: ground range over altitude.
+    altitude : array (rows, columns) or None
+        Of the sonar over the floor, m, where it is known.
     """
 
     amplitude: Any
     cotangent: Any
+    altitude: Any = None
 
 
 class Blocks(NamedTuple):
-    """Statistics of blocks of one look (block rows, block columns)."""
+    """Statistics of blocks of one look (block rows, block columns).
+
+    Attributes
+    ----------
+    mean, variance : ndarray
+        Of the log amplitude.
+    known : ndarray
+        Pixels.
+    place : ndarray
+        Log cotangent of the grazing angle about a centre, where a trend is told.
+    angle, reach : ndarray
+        Log cotangent, also of steep angles, and log slant range (0 where it is not known).
+    """
 
     mean: FloatArray
     variance: FloatArray
     known: FloatArray
     place: FloatArray
+    angle: FloatArray
+    reach: FloatArray
 
 
 def log_cotangent(cotangent: FloatArray) -> FloatArray:
     """Log of a grazing angle's cotangent; steeper than 45 degrees there is no trend."""
     return np.asarray(np.log(np.maximum(cotangent, 1.0)))
+
+
+def log_angle(cotangent: FloatArray) -> FloatArray:
+    """Log of a grazing angle's cotangent, also beneath the sonar."""
+    return np.asarray(np.log(np.maximum(cotangent, STEEPEST)))
+
+
+def log_reach(cotangent: FloatArray, altitude: FloatArray) -> FloatArray:
+    """Log of the slant range, m."""
+    return np.asarray(np.log(np.maximum(altitude, 1e-3)) + 0.5 * np.log1p(np.square(cotangent)))
 
 
 def block_statistics(look: AmplitudeGrid, centre: float) -> Blocks:
@@ -66,9 +95,14 @@ def block_statistics(look: AmplitudeGrid, centre: float) -> Blocks:
     total = np.maximum(count, 1)
     mean = (logs * there).sum(axis=(1, 3)) / total
     square = ((logs - mean[:, None, :, None]) ** 2 * there).sum(axis=(1, 3))
-    at = (place[:rows, :columns].reshape(shape) * there).sum(axis=(1, 3)) / total
+    cotangent = np.nan_to_num(look.cotangent, nan=1.0)
+    places = [place, log_angle(cotangent)]
+    if look.altitude is not None:
+        places.append(log_reach(cotangent, np.nan_to_num(look.altitude, nan=1.0)))
+    at = [(v[:rows, :columns].reshape(shape) * there).sum(axis=(1, 3)) / total for v in places]
+    reach = at[2] if look.altitude is not None else np.zeros(count.shape)
     enough = count >= MIN_KNOWN * BLOCK**2
-    return Blocks(mean, square / total, np.where(enough, count, 0.0), at)
+    return Blocks(mean, square / total, np.where(enough, count, 0.0), at[0], at[1], reach)
 
 
 def first_trends(blocks: list[Blocks]) -> FloatArray:

@@ -9,16 +9,17 @@ are estimated in.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import fft2, ifft2, next_fast_len
-from scipy.ndimage import map_coordinates, uniform_filter
+from scipy.fft import fft2, ifft2, irfft2, next_fast_len, rfft2
 
 FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
+Part = tuple[slice, slice]
 
 # Pixels a side that are averaged first; averaged pixels a side of windows, which overlap by half:
 # small ones find short ripples in small patches, large ones long and weak ones.
@@ -31,8 +32,8 @@ SHORTEST, FEWEST = 5.0, 4
 # is 12 medians, and one window in a million reaches 30; recorded and simulated ripples have 200 up.
 # An edge has no more at a wave number than at half of it, in the same direction.
 STANDS_OUT, RISES = 40.0, 2.0
-# Share of a window that must be known.
-KNOWN = 0.25
+# Share of a window that must be known; windows whose spectra are computed at once.
+KNOWN, AT_ONCE = 0.25, 64
 # Widths (standard deviation, in wavelengths across and along the crests) over which the phase, the
 # profile and what it explains are averaged.
 PHASE, PROFILE, NEAR = (0.6, 0.6), (0.5, 1.5), (0.15, 1.0)
@@ -58,7 +59,7 @@ class Waves(NamedTuple):
     rippled: NDArray[np.bool_]
 
 
-def find_waves(amplitude: NDArray[np.floating]) -> Waves:
+def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Waves:
     """Find ripples in an image and what they do to its amplitude.
 
     Parameters
@@ -66,44 +67,55 @@ def find_waves(amplitude: NDArray[np.floating]) -> Waves:
     amplitude : ndarray (rows, columns)
         NaN where there is none. Pieces of a survey agree where they begin at multiples of
         ``LATTICE`` pixels and reach ``MARGIN`` pixels beyond what is asked.
+    inner : tuple of slice, optional
+        What is asked; default all.
 
     Returns
     -------
     Waves
+        Of what is asked.
     """
-    level, known = _coarse(amplitude)
-    profile = np.zeros(level.shape)
-    weight = np.zeros(level.shape)
-    rippled = np.zeros(level.shape)
-    for size, part in ((n, p) for n in WINDOWS for p in _windows(level.shape, n)):
-        wave = _wave(level[part], known[part], size)
-        if wave is None:
-            continue  # what holds few ripples tells nothing of those that others find in it
-        taper = np.hanning(size + 2)[1:-1]
-        height, width = (s.stop - s.start for s in part)
-        hat = np.outer(taper[:height], taper[:width])
-        weight[part] += hat
-        there, found = _profile(level[part], known[part], wave)
-        profile[part] += hat * found
-        rippled[part] += hat * there
+    inner = inner or (slice(0, amplitude.shape[0]), slice(0, amplitude.shape[1]))
+    asked = tuple(slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
+    level, known = coarse(amplitude)
+    profile, weight, rippled = (np.zeros(level.shape, np.float32) for _ in range(3))
+    for size in WINDOWS:
+        every = [
+            part
+            for part in _windows(level.shape, size)
+            if all(p.start < a.stop and p.stop > a.start for p, a in zip(part, asked, strict=True))
+        ]
+        for part, wave in zip(every, _waves(level, known, every, size), strict=True):
+            if wave is None:
+                continue  # what holds few ripples tells nothing of those that others find in it
+            taper = np.hanning(size + 2)[1:-1].astype(np.float32)
+            height, width = (s.stop - s.start for s in part)
+            hat = np.outer(taper[:height], taper[:width])
+            weight[part] += hat
+            there, found = _profile(level[part], known[part], wave)
+            profile[part] += hat * found
+            rippled[part] += hat * there
+    shape = tuple(s.stop - s.start for s in inner)
+    if not rippled.any():
+        return Waves(np.zeros(shape, np.float32), np.zeros(shape, bool))
     weight = np.maximum(weight, 1e-9)
     mask = (rippled / weight > 0.5) & (known > 0)
-    fine = _fine(profile / weight, amplitude.shape)
+    fine = _fine(profile / weight, inner)
     whole = np.repeat(np.repeat(mask, COARSE, axis=0), COARSE, axis=1)
     padded = np.zeros(amplitude.shape, bool)
     padded[: whole.shape[0], : whole.shape[1]] = whole
-    return Waves((0.5 * fine).astype(np.float32), padded)
+    return Waves((0.5 * fine).astype(np.float32), padded[inner])
 
 
-def _coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
+def coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     """Log of the mean intensity of small squares, and the share of them that is known."""
     rows, columns = (n // COARSE * COARSE for n in amplitude.shape)
     shape = rows // COARSE, COARSE, columns // COARSE, COARSE
-    parts = amplitude[:rows, :columns].astype(float).reshape(shape)
+    parts = amplitude[:rows, :columns].reshape(shape)
     there = np.isfinite(parts)
     count = there.sum(axis=(1, 3))
-    power = np.where(there, parts, 0.0) ** 2
-    mean = power.sum(axis=(1, 3)) / np.maximum(count, 1)
+    power = np.square(np.where(there, parts, 0))
+    mean = power.sum(axis=(1, 3), dtype=float) / np.maximum(count, 1)
     known = (count > 0) & (mean > 0)
     return np.log(np.where(known, mean, 1.0)), known.astype(float)
 
@@ -118,31 +130,66 @@ def _windows(shape: tuple[int, ...], size: int) -> list[tuple[slice, slice]]:
     ]
 
 
-def _wave(level: FloatArray, known: FloatArray, size: int) -> tuple[float, float] | None:
-    """Wave number (cycles per averaged pixel, down and across) of the ripples in a window."""
-    if known.mean() < KNOWN or min(level.shape) < 3 * SHORTEST:
+def _waves(
+    level: FloatArray, known: FloatArray, parts: Sequence[Part], size: int
+) -> list[tuple[float, float] | None]:
+    """Wave number (cycles per averaged pixel, down and across) of the ripples in each window."""
+    found: list[tuple[float, float] | None] = [None] * len(parts)
+    enough = [
+        i
+        for i, part in enumerate(parts)
+        if known[part].mean() >= KNOWN and min(known[part].shape) >= 3 * SHORTEST
+    ]
+    for first in range(0, len(enough), AT_ONCE):
+        some = enough[first : first + AT_ONCE]
+        flat = np.zeros((len(some), size, size), np.float32)
+        for target, i in zip(flat, some, strict=True):
+            here, there = level[parts[i]], known[parts[i]]
+            hat = np.outer(*(np.hanning(n + 2)[1:-1] for n in here.shape)) * there
+            height, width = here.shape
+            target[:height, :width] = (here - (here * hat).sum() / hat.sum()) * hat
+        power = _power(flat)
+        over = np.zeros((len(some), power[0].size))
+        for ring in _rings(size):
+            values = power.reshape(len(some), -1)[:, ring]
+            over[:, ring] = values / np.maximum(np.median(values, axis=1, keepdims=True), 1e-300)
+        for i, one, ratio in zip(some, power, over, strict=True):
+            found[i] = _peak(one, ratio, size)
+    return found
+
+
+def _power(flat: Single) -> FloatArray:
+    """Spectra of images, each mode the mean of the nine about it; across from 0 on."""
+    half = np.square(np.abs(rfft2(flat)).astype(float))
+    # beyond both ends lie the modes of the mirrored wave number
+    rows = -np.arange(flat.shape[1]) % flat.shape[1]
+    wide = np.concatenate([half[:, rows, 1:2], half, half[:, rows, -2:-1]], axis=2)
+    across = wide[:, :, :-2] + wide[:, :, 1:-1] + wide[:, :, 2:]
+    return np.asarray((np.roll(across, 1, axis=1) + across + np.roll(across, -1, axis=1)) / 9)
+
+
+def _peak(power: FloatArray, over: FloatArray, size: int) -> tuple[float, float] | None:
+    """Wave number that stands out of its ring, if one does and is no edge's."""
+    place = int(np.argmax(over))
+    if over[place] < STANDS_OUT:
         return None
-    hat = np.outer(*(np.hanning(n + 2)[1:-1] for n in level.shape)) * known
-    flat = (level - (level * hat).sum() / hat.sum()) * hat
-    power = uniform_filter(np.abs(fft2(flat, (size, size))) ** 2, 3, mode="wrap")
-    over = np.zeros(power.size)
-    for ring in _rings(size):
-        values = power.ravel()[ring]
-        over[ring] = values / max(float(np.median(values)), 1e-300)
-    row, column = np.unravel_index(int(np.argmax(over)), power.shape)
-    k = np.fft.fftfreq(size)[[row, column]]
-    half = [np.arange(h - 1, h + 2) % size for h in np.rint(k * size / 2).astype(int)]
-    if over.max() < STANDS_OUT or power[row, column] < RISES * power[np.ix_(*half)].max():
+    row, column = np.unravel_index(place, power.shape)
+    k = np.array([np.fft.fftfreq(size)[row], column / size])
+    down, across = (np.arange(h - 1, h + 2) for h in np.rint(k * size / 2).astype(int))
+    # a real image has the same power at the opposite wave number
+    down = np.where(across[None] < 0, -down[:, None], down[:, None]) % size
+    if power[row, column] < RISES * power[down, np.abs(across)[None]].max():
         return None
     return float(k[0]), float(k[1])
 
 
 @cache
 def _rings(window: int) -> list[NDArray[np.int64]]:
-    """Places in the spectrum of the wave numbers that are looked at, by their size."""
-    k = np.fft.fftfreq(window)
-    size = np.hypot(k[:, None], k).ravel()
-    used = (size >= FEWEST / window) & (size <= 1 / SHORTEST)
+    """Places in half a spectrum of the wave numbers that are looked at, by their size."""
+    down, across = np.fft.fftfreq(window)[:, None], np.fft.rfftfreq(window)
+    size = np.hypot(down, across).ravel()
+    # of two opposite wave numbers, one
+    used = ((across > 0) | (down >= 0)).ravel() & (size >= FEWEST / window) & (size <= 1 / SHORTEST)
     ring = np.where(used, np.rint(size * window), -1).astype(int)
     return [np.flatnonzero(ring == radius) for radius in np.unique(ring[used])]
 
@@ -162,22 +209,29 @@ class _Along:
             known,
             tuple(next_fast_len(n + WINDOWS[-1] // 2) for n in known.shape),
         )
-        r, c = (np.fft.fftfreq(n) for n in self._shape)
+        r, c = (np.fft.fftfreq(n).astype(np.float32) for n in self._shape)
         self._length = 1 / np.hypot(*wave)
-        self._ahead = (r[:, None] * wave[0] + c * wave[1]) * self._length
-        self._beside = (r[:, None] * wave[1] - c * wave[0]) * self._length
+        self._ahead = np.square((r[:, None] * wave[0] + c * wave[1]) * self._length)
+        self._beside = np.square((r[:, None] * wave[1] - c * wave[0]) * self._length)
+        self._kernels: dict[tuple[float, float], tuple[Single, Single]] = {}
 
-    def __call__(self, values: NDArray[Any], across: float, along: float) -> NDArray[np.complex128]:
+    def __call__(self, values: NDArray[Any], across: float, along: float) -> NDArray[Any]:
         """Average over Gaussians of so many wavelengths (standard deviation)."""
-        size = (2 * np.pi * self._length) ** 2
-        kernel = np.exp(-0.5 * size * ((across * self._ahead) ** 2 + (along * self._beside) ** 2))
-        rows, columns = self._known.shape
+        if (across, along) not in self._kernels:
+            size = (2 * np.pi * self._length) ** 2
+            kernel = np.exp(-0.5 * size * (across**2 * self._ahead + along**2 * self._beside))
+            share = np.maximum(self._smooth(self._known, kernel), 1e-3)
+            self._kernels[across, along] = kernel, share
+        kernel, share = self._kernels[across, along]
+        return np.asarray(self._smooth(values * self._known, kernel) / share)
 
-        def smooth(v: NDArray[Any]) -> NDArray[np.complex128]:
-            return np.asarray(ifft2(fft2(v, self._shape) * kernel)[:rows, :columns])
-
-        share = np.maximum(smooth(self._known).real, 1e-3)
-        return np.asarray(smooth(values * self._known) / share)
+    def _smooth(self, values: NDArray[Any], kernel: Single) -> NDArray[Any]:
+        """Convolve; a real image by half of its spectrum, which is all there is."""
+        rows, columns = values.shape
+        if np.iscomplexobj(values):
+            return np.asarray(ifft2(fft2(values, self._shape) * kernel)[:rows, :columns])
+        half = rfft2(values, self._shape) * kernel[:, : self._shape[1] // 2 + 1]
+        return np.asarray(irfft2(half, self._shape)[:rows, :columns])
 
 
 def _profile(
@@ -185,33 +239,43 @@ def _profile(
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Where ripples are, and their log intensity over that of flat floor."""
     length = 1 / np.hypot(*wave)
+    level, known = level.astype(np.float32), known.astype(np.float32)
     average = _Along(known, wave)
-    flat = (level - average(level, 1.0, 1.0).real) * known
-    r, c = np.indices(level.shape)
-    carrier = 2 * np.pi * (wave[0] * r + wave[1] * c)
+    flat = (level - average(level, 1.0, 1.0)) * known
+    rows, columns = (np.arange(n) for n in level.shape)
+    carrier = 2 * np.pi * (wave[0] * rows[:, None] + wave[1] * columns).astype(np.float32)
     first = average(flat * np.exp(-1j * carrier), *PHASE)
     phase = carrier + np.angle(first)
-    total = np.zeros(level.shape)
-    for k in range(1, min(HARMONICS, max(int(length / 2.5), 1)) + 1):
-        turn = np.exp(1j * k * phase)
+    total = np.zeros(level.shape, np.float32)
+    wave_once = np.exp(1j * phase)
+    turn = np.ones_like(wave_once)
+    for _ in range(min(HARMONICS, max(int(length / 2.5), 1))):
+        turn *= wave_once
         total += 2 * (average(flat * np.conj(turn), *PROFILE) * turn).real
-    total = np.maximum(total, np.log(FLOOR))
+    total = np.maximum(total, np.float32(np.log(FLOOR)))
     # ripples begin and end within a wavelength: how strong the profile is around each place
-    power = np.maximum(average(total**2, *NEAR).real, 1e-9)
-    total *= np.clip(average(flat * total, *NEAR).real / power, 0.0, STRONGEST)
-    before, after = (average(v**2, *NEAR).real for v in (flat, flat - total))
+    power = np.maximum(average(total**2, *NEAR), 1e-9)
+    total *= np.clip(average(flat * total, *NEAR) / power, 0.0, STRONGEST)
+    before, after = (average(v**2, *NEAR) for v in (flat, flat - total))
     there = (after < EXPLAINED * before) & (2 * np.abs(first) > LEAST) & (known > 0)
     # amplitude is linear in slope to first order, and slope has no mean: the mean amplitude over a
     # wavelength is that of flat floor (the mean intensity is up to 4 dB more)
-    mean = average(np.exp(0.5 * total), 1.0, 1.0).real
+    mean = average(np.exp(0.5 * total), 1.0, 1.0)
     total -= 2 * np.log(np.maximum(mean, FLOOR))
     return there, total * there
 
 
-def _fine(coarse: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Lay averaged pixels on the pixels that they are of, linear between."""
-    if not coarse.any():
-        return np.zeros(shape)
-    r, c = ((np.arange(n) + 0.5) / COARSE - 0.5 for n in shape)
-    places = np.meshgrid(r, c, indexing="ij")
-    return np.asarray(map_coordinates(coarse, places, order=1, mode="nearest"))
+def _fine(coarse: Single, inner: Part) -> FloatArray:
+    """Lay averaged pixels on the pixels that they are of, linear between; part of an image."""
+    rows, columns = (_between(n, s) for n, s in zip(coarse.shape, inner, strict=True))
+    near = coarse[rows[0]] + rows[2][:, None] * (coarse[rows[1]] - coarse[rows[0]])
+    left, right = near[:, columns[0]], near[:, columns[1]]
+    return np.asarray(left + columns[2] * (right - left))
+
+
+def _between(n: int, part: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Single]:
+    """Averaged pixels before and after each pixel, and the share of the latter."""
+    place = np.clip((np.arange(part.start, part.stop) + 0.5) / COARSE - 0.5, 0, n - 1)
+    before = place.astype(int)
+    share = (place - before).astype(np.float32)
+    return before, np.minimum(before + 1, n - 1), share

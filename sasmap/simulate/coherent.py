@@ -202,7 +202,7 @@ def _strip(what: _Pass, rows: IntArray, columns: IntArray) -> FloatArray:
     x, y = what.line.point(
         (grid.along + grid.row_step * extra)[:, None], grid.across + grid.column_step * reach
     )
-    elevation = what.floor.elevation(what.floor.waves(x, y))
+    elevation = what.floor.surface(x, y)
     ground_range = np.asarray(grid.across + grid.column_step * facets)
     steps = (grid.row_step, grid.column_step)
     sine, area, shown = see_facets(elevation, ground_range, altitude, steps, what.slant)

@@ -67,7 +67,19 @@ class RipplePatch(_Block):
     forks: tuple[Point, ...] = Field(
         (), description="where crests split, m east and north of the origin"
     )
+    bends: Polygon | None = Field(
+        None, description="where crests wander and fork, in pairs of forks; default everywhere"
+    )
     polygon: Polygon | None = None
+    added: bool = Field(
+        False, description="crosses the ripples beneath, instead of lying in their place"
+    )
+
+    @model_validator(mode="after")
+    def _paired(self) -> Self:
+        if self.bends is not None and len(self.forks) % 2:
+            raise ValueError("forks: expected pairs of them where bends has an end")
+        return self
 
 
 class ScenePass(_Block):
@@ -163,6 +175,7 @@ def _check_physics(scene: Scene) -> None:
         "law": "law" in scene.model_fields_set,
         "sediments.law": any(s.law is not None for s in scene.sediments),
         "ripples.profile": any(p.profile == "asymmetric" for p in scene.ripples),
+        "ripples.added": any(p.added for p in scene.ripples),
         "passes.range_flattened": any(p.range_flattened for p in scene.passes),
         "passes.blur": any("blur" in p.model_fields_set for p in scene.passes),
     }

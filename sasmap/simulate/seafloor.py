@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 WAVES = 256
 # Grid points per correlation length of the phase's wander.
 WANDER_SAMPLES = 8
+# Width of the edge over which bends begin, in correlation lengths of the wander.
+BENDS = 0.5
 
 
 class Waves(NamedTuple):
@@ -34,6 +36,10 @@ class Waves(NamedTuple):
     patch : ndarray of int
         Index of the ripple patch, -1 for none.
     """
+
+    def where(self, other: Waves, better: NDArray[np.bool_]) -> Waves:
+        """Take the other's waves where they are better."""
+        return Waves(*(np.where(better, b, a) for a, b in zip(self, other, strict=True)))
 
     phase: FloatArray
     east: FloatArray
@@ -137,23 +143,57 @@ class SeaFloor:
         return index
 
     def waves(self, x: FloatArray, y: FloatArray) -> Waves:
-        """Ripple phase, wave vector and height at map points."""
+        """Ripple phase, wave vector and height at map points: of the highest of the systems."""
+        first, *added = self.systems(x, y)
+        for one in added:
+            first = first.where(one, one.height > first.height)
+        return first
+
+    def second(self, x: FloatArray, y: FloatArray) -> Waves:
+        """As :meth:`waves`, of the second highest of the systems."""
+        first, *added = self.systems(x, y)
+        second = _no_waves(np.shape(x))
+        for one in added:
+            higher = one.height > first.height
+            lower = one.where(first, higher)
+            first = first.where(one, higher)
+            second = second.where(lower, lower.height > second.height)
+        return second
+
+    def systems(self, x: FloatArray, y: FloatArray) -> list[Waves]:
+        """Waves whose heights add up to the sea floor's.
+
+        Parameters
+        ----------
+        x, y : ndarray
+            Map points, m, of one shape.
+
+        Returns
+        -------
+        list of Waves
+            Of the patches that lie on each other, then of each that is added to them.
+        """
         shape = np.shape(x)
-        phase, east, north, height = np.zeros((4, *shape))
-        which = np.full(shape, -1, np.int64)
+        found = [_no_waves(shape)]
         for k, patch in enumerate(self._scene.ripples):
-            polygon = self._patches[k]
-            inside = np.ones(shape, bool) if polygon is None else in_polygon(x, y, polygon)
-            if not inside.any():
-                continue
-            px, py = x[inside], y[inside]
-            phase[inside], east[inside], north[inside], damped = self._patch(k, patch, px, py)
-            if polygon is not None:  # ripples fade over half a wavelength, no cliff at the edge
-                fade = np.clip(2 * patch.frequency * edge_distance(px, py, polygon), 0, 1)
-                damped = damped * fade**2 * (3 - 2 * fade)
-            height[inside] = damped
-            which[inside] = k
-        return Waves(phase, east, north, height, which)
+            if patch.added:
+                found.append(_no_waves(shape))
+            self._lay(found[-1 if patch.added else 0], k, x, y)
+        return found
+
+    def _lay(self, waves: Waves, k: int, x: FloatArray, y: FloatArray) -> None:
+        """Lay a patch on the waves of other ones."""
+        patch, polygon = self._scene.ripples[k], self._patches[k]
+        inside = np.ones(np.shape(x), bool) if polygon is None else in_polygon(x, y, polygon)
+        if not inside.any():
+            return
+        px, py = x[inside], y[inside]
+        phase, east, north, height = self._patch(k, patch, px, py)
+        if polygon is not None:  # ripples fade over half a wavelength, no cliff at the edge
+            fade = np.clip(2 * patch.frequency * edge_distance(px, py, polygon), 0, 1)
+            height = height * fade**2 * (3 - 2 * fade)
+        waves.phase[inside], waves.height[inside], waves.patch[inside] = phase, height, k
+        waves.east[inside], waves.north[inside] = east, north
 
     def _patch(
         self, k: int, patch: RipplePatch, x: FloatArray, y: FloatArray
@@ -165,32 +205,67 @@ class SeaFloor:
         east, north = np.full_like(x, kx), np.full_like(x, ky)
         height = np.full_like(x, patch.height)
         wander = self._wander[k]
-        if wander is not None:
-            extra, dx, dy = wander.at(x, y)
-            phase, east, north = phase + extra, east + dx / (2 * np.pi), north + dy / (2 * np.pi)
+        if wander is None and not patch.forks:
+            return phase, east, north, height
+        extra, dx, dy = np.zeros((3, *x.shape)) if wander is None else wander.at(x, y)
+        turn, turn_x, turn_y, calm = self._forked(patch, x, y)
+        extra, dx, dy = extra + turn, dx + turn_x, dy + turn_y
+        share, share_x, share_y = self._bent(patch, x, y)
+        phase = phase + share * extra
+        east = east + (share * dx + share_x * extra) / (2 * np.pi)
+        north = north + (share * dy + share_y * extra) / (2 * np.pi)
+        return phase, east, north, height * (1 - share * (1 - calm))
+
+    def _forked(self, patch: RipplePatch, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Phase that forks add, its gradient, rad/m, and the share of height that they leave."""
+        result = np.stack([np.zeros_like(x), np.zeros_like(x), np.zeros_like(x), np.ones_like(x)])
+        before = np.zeros_like(x)
         for j, (fx, fy) in enumerate(patch.forks):
             sign = 1 - 2 * (j % 2)
             dx, dy = x - self._scene.origin[0] - fx, y - self._scene.origin[1] - fy
             square = dx**2 + dy**2
             soft = square + (0.25 / patch.frequency) ** 2
-            phase = phase + sign * np.arctan2(dy, dx)
-            east = east - sign * dy / soft / (2 * np.pi)
-            north = north + sign * dx / soft / (2 * np.pi)
-            height = height * square / soft
-        return phase, east, north, height
+            angle = np.arctan2(dy, dx)
+            if sign < 0:  # a pair's phase jumps between its two forks alone, so that it can fade
+                angle -= 2 * np.pi * np.rint((angle - before) / (2 * np.pi))
+            before = angle
+            result[:3] += sign * np.stack([angle, -dy / soft, dx / soft])
+            result[3] *= square / soft
+        return result
+
+    def _bent(self, patch: RipplePatch, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Share of its wander and forks that a patch's phase has, and the share's gradient, 1/m."""
+        if patch.bends is None:
+            return np.stack([np.ones_like(x), np.zeros_like(x), np.zeros_like(x)])
+        polygon = np.array(patch.bends) + np.array(self._scene.origin)
+
+        def share(x: FloatArray, y: FloatArray) -> FloatArray:
+            inside = in_polygon(x, y, polygon)
+            depth = edge_distance(x, y, polygon) / (BENDS * patch.wander_length)
+            part = np.clip(np.where(inside, depth, 0.0), 0, 1)
+            return np.asarray(part**2 * (3 - 2 * part))
+
+        step = 1e-3 * patch.wander_length
+        east, west = share(x + step, y), share(x - step, y)
+        north, south = share(x, y + step), share(x, y - step)
+        return np.stack([share(x, y), (east - west) / (2 * step), (north - south) / (2 * step)])
 
     @property
     def relief(self) -> float:
         """No point is farther from the mean sea floor than this, m."""
-        highest = 0.0
+        highest, added = 0.0, 0.0
         for patch in self._scene.ripples:
             # the Stokes term, with room for crests that wander to twice the wave number
             extra = 2 * np.pi * patch.frequency * patch.height if patch.profile == "stokes" else 0.0
-            highest = max(highest, patch.height * (1 + extra))
-        return highest
+            most = patch.height * (1 + extra)
+            if patch.added:
+                added += most
+            else:
+                highest = max(highest, most)
+        return highest + added
 
     def elevation(self, waves: Waves) -> FloatArray:
-        """Height of the sea floor over its mean at the points of `waves`, m."""
+        """Height of one system of ripples at the points of `waves`, m."""
         result = np.zeros_like(waves.height)
         steepness = 2 * np.pi * np.hypot(waves.east, waves.north) * waves.height
         for k, patch in enumerate(self._scene.ripples):
@@ -199,6 +274,19 @@ class SeaFloor:
                 shape = crest(waves.phase[on], steepness[on], patch.profile, patch.asymmetry)
                 result[on] = waves.height[on] * shape
         return result
+
+    def surface(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Height of the sea floor over its mean at map points, all systems of ripples, m."""
+        first, *added = self.systems(x, y)
+        height = self.elevation(first)
+        for one in added:
+            height += self.elevation(one)
+        return height
+
+
+def _no_waves(shape: tuple[int, ...]) -> Waves:
+    phase, east, north, height = np.zeros((4, *shape))
+    return Waves(phase, east, north, height, np.full(shape, -1, np.int64))
 
 
 def _wander(scene: Scene, k: int, patch: RipplePatch) -> _Wander | None:

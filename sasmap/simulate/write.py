@@ -23,7 +23,7 @@ from sasmap.settings.yamlfile import dump_yaml
 from sasmap.simulate.geometry import track_line
 from sasmap.simulate.image import NODATA, record
 from sasmap.simulate.scene import Scene, ScenePass
-from sasmap.simulate.seafloor import SeaFloor
+from sasmap.simulate.seafloor import SeaFloor, Waves
 
 FloatArray = NDArray[np.float64]
 
@@ -200,28 +200,39 @@ def _write_truth(scene: Scene, floor: SeaFloor, folder: Path, scratch: Path) -> 
     x, y = np.meshgrid(
         scene.origin[0] + pixel * (np.arange(columns) + 0.5), top - pixel * (np.arange(rows) + 0.5)
     )
-    waves = floor.waves(x, y)
-    none = waves.height == 0
-    frequency = np.hypot(waves.east, waves.north)
-    azimuth = np.degrees(np.arctan2(waves.east, waves.north)) % 180.0
-    layers: dict[str, tuple[NDArray[Any], Layer]] = {
-        "ripple_frequency": (frequency, float_layer(["ripple frequency"], ["cycles/m"])),
-        "ripple_height": (waves.height, float_layer(["ripple height A_H"], ["m"])),
-        "ripple_azimuth": (azimuth, float_layer(["azimuth of the crest normal"], ["degrees"])),
-    }
+    layers = _ripple_layers(floor.waves(x, y))
+    if any(patch.added for patch in scene.ripples):
+        layers |= _ripple_layers(floor.second(x, y), "_second")
     crs = pyproj.CRS.from_user_input(scene.crs).to_wkt()
     written = []
     for name, (values, layer) in layers.items():
         written.append(folder / f"{name}.tif")
-        write_cog(
-            written[-1], as_bands(np.where(none, np.nan, values)), layer, transform, crs, scratch
-        )
+        write_cog(written[-1], as_bands(values), layer, transform, crs, scratch)
     written.append(folder / "sediment_class.tif")
     classes = as_bands(floor.sediment(x, y) + 1)
     write_cog(written[-1], classes, _class_layer(scene), transform, crs, scratch)
     written.append(folder / "boundaries.geojson")
     write_text(written[-1], json.dumps(_boundaries(scene, floor), indent=1) + "\n", scratch)
     return written
+
+
+def _ripple_layers(waves: Waves, ending: str = "") -> dict[str, tuple[FloatArray, Layer]]:
+    """Rasters of a system of ripples by their names; NaN where there are none."""
+    values = {
+        "frequency": np.hypot(waves.east, waves.north),
+        "height": waves.height,
+        "azimuth": np.degrees(np.arctan2(waves.east, waves.north)) % 180.0,
+    }
+    told = {
+        "frequency": float_layer(["ripple frequency"], ["cycles/m"]),
+        "height": float_layer(["ripple height A_H"], ["m"]),
+        "azimuth": float_layer(["azimuth of the crest normal"], ["degrees"]),
+    }
+    none = waves.height == 0
+    return {
+        f"ripple_{name}{ending}": (np.where(none, np.nan, value), told[name])
+        for name, value in values.items()
+    }
 
 
 def _class_layer(scene: Scene) -> Layer:

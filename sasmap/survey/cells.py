@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,8 @@ class CellGrid:
     size : float
         Side of a cell, m.
     rows, columns : int
+    spacing : float
+        From cell to cell, m; cells overlap where it is less than their size.
     """
 
     crs: str
@@ -50,14 +52,17 @@ class CellGrid:
     size: float
     rows: int
     columns: int
+    spacing: float
 
     @property
     def transform(self) -> Affine:
-        """Affine of rasters with a pixel a cell."""
-        return self.pixels(1)
+        """Affine of rasters with a pixel a cell, about its centre and as large as the spacing."""
+        margin = 0.5 * (self.size - self.spacing)
+        place = self.left + margin, self.top - margin
+        return Affine(self.spacing, 0.0, place[0], 0.0, -self.spacing, place[1])
 
     def pixels(self, window: int) -> Affine:
-        """Affine of rasters with `window` by `window` pixels a cell."""
+        """Affine of rasters with `window` by `window` pixels a cell, of cells side by side."""
         step = self.size / window
         return Affine(step, 0.0, self.left, 0.0, -step, self.top)
 
@@ -67,27 +72,40 @@ class CellGrid:
 
     def bounds(self, cell: Cell) -> tuple[float, float, float, float]:
         """Return left, bottom, right, top of a cell, m."""
-        left, top = self.left + cell.column * self.size, self.top - cell.row * self.size
+        left, top = self.left + cell.column * self.spacing, self.top - cell.row * self.spacing
         return left, top - self.size, left + self.size, top
 
     def met_by(self, tile: Tile, reach: float) -> Iterator[Cell]:
         """Cells that a tile's bounding box, widened by `reach` (m), overlaps."""
         x, y = tile.outline_in(self.crs)
         slack = 1e-6 * self.size
-        first = np.floor((x.min() - reach - self.left + slack) / self.size)
-        last = np.floor((x.max() + reach - self.left - slack) / self.size)
-        upper = np.floor((self.top - y.max() - reach + slack) / self.size)
-        lower = np.floor((self.top - y.min() + reach - slack) / self.size)
+        shared = self.size - self.spacing
+        first = np.floor((x.min() - reach - self.left + slack - shared) / self.spacing)
+        last = np.floor((x.max() + reach - self.left - slack) / self.spacing)
+        upper = np.floor((self.top - y.max() - reach + slack - shared) / self.spacing)
+        lower = np.floor((self.top - y.min() + reach - slack) / self.spacing)
         for row in range(max(int(upper), 0), min(int(lower), self.rows - 1) + 1):
             for column in range(max(int(first), 0), min(int(last), self.columns - 1) + 1):
                 yield Cell(row, column)
 
     def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
-        """Whether map points lie in a cell; each point lies in exactly one cell."""
-        column = np.floor((x - self.left) / self.size + 1e-9)
-        row = np.floor((self.top - y) / self.size + 1e-9)
-        inside: NDArray[np.bool_] = (column == cell.column) & (row == cell.row)
+        """Whether map points lie in a cell; each lies in exactly one of cells side by side."""
+        right, down = (x - self.left) / self.spacing + 1e-9, (self.top - y) / self.spacing + 1e-9
+        reach = self.size / self.spacing
+        across = (right >= cell.column) & (right < cell.column + reach)
+        inside: NDArray[np.bool_] = across & (down >= cell.row) & (down < cell.row + reach)
         return inside
+
+    def overlapping(self, spacing: float) -> CellGrid:
+        """Lay cells of the same size over the same floor at another spacing, m.
+
+        The last ones reach its end; those beyond would show nothing new.
+        """
+        rows, columns = (
+            1 + max(int(np.ceil((n - 1) * self.size / spacing - 1e-6)), 0)
+            for n in (self.rows, self.columns)
+        )
+        return replace(self, rows=rows, columns=columns, spacing=spacing)
 
 
 def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
@@ -124,12 +142,30 @@ def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
     slack = 1e-3 / window
     columns = max(1, int(np.ceil((right - left) / size - slack)))
     rows = max(1, int(np.ceil((top - bottom) / size - slack)))
-    if rows * columns > MAX_CELLS:
+    grid = CellGrid(crs, float(left), float(top), size, rows, columns, size)
+    check_count(grid, str(tiles[0].path))
+    return grid
+
+
+def check_count(grid: CellGrid, where: str) -> None:
+    """Refuse a grid of too many cells.
+
+    Parameters
+    ----------
+    grid : CellGrid
+    where : str
+        File, for the message.
+
+    Raises
+    ------
+    InputError
+    """
+    if grid.rows * grid.columns > MAX_CELLS:
+        overlap = ", or less overlap" if grid.spacing < grid.size else ""
         raise InputError(
-            f"{tiles[0].path}: the tiles span {rows} x {columns} cells of {size:g} m: expected at "
-            f"most {MAX_CELLS}; split the survey or choose a larger window"
+            f"{where}: the tiles span {grid.rows} x {grid.columns} cells of {grid.size:g} m: "
+            f"expected at most {MAX_CELLS}; split the survey or choose a larger window{overlap}"
         )
-    return CellGrid(crs, float(left), float(top), size, rows, columns)
 
 
 def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:

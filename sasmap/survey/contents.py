@@ -43,16 +43,23 @@ def look_into(tile: Tile) -> tuple[Tile, list[str], list[str]]:
     try:
         # the whole tile is read: its blocks are decoded by all cores
         with open_geotiff(tile.path, GDAL_NUM_THREADS="ALL_CPUS") as source:
-            tile = replace(tile, fill=find_fill(source))
+            fill, border = find_fill(source, tile.kind)
+            tile = replace(tile, fill=fill)
             lossy, largest = _loss(source)
     except rasterio.errors.RasterioError:
         return tile, warnings, faults  # what cannot be decoded fails its cells, and says so there
-    for fill in tile.fill:
-        share = fill.area / (tile.window.height * tile.window.width)
+    for area in tile.fill:
+        share = area.area / (tile.window.height * tile.window.width)
         warnings.append(
-            f"{tile.path}: {share:.0%} of it, at its edge, is exactly {fill.value:g} and no nodata "
+            f"{tile.path}: {share:.0%} of it, at its edge, is exactly {area.value:g} and no nodata "
             f"or mask says so: treated as not seen; declare it, for example "
-            f"gdal_edit.py -a_nodata {fill.value:g} {tile.path.name}"
+            f"gdal_edit.py -a_nodata {area.value:g} {tile.path.name}"
+        )
+    if border:
+        warnings.append(
+            f"{tile.path}: {border}, unlike shadow or water: fill that was compressed or "
+            f"resampled counts as sea floor; set it to nodata, for example nearblack -nb 0 "
+            f"-near 10 -o clean.tif {tile.path.name} and gdal_edit.py -a_nodata 0 clean.tif"
         )
     sample = list(_sample(tile))
     if lossy and (largest is None or largest > LARGEST_LOSS * _typical(sample)):

@@ -1,9 +1,15 @@
-"""Fill that is not declared as nodata: large areas of exactly one value at a tile's edge."""
+"""Fill that is not declared as nodata: large areas at a tile's edge, of one value or nearly black.
+
+Areas of exactly one value are fill. Nearly black ones, as JPEG or resampling leave of fill, can be
+shadow or water as well, whose noise has the skewness of speckle (0.63): they are named only where
+their numbers are distributed otherwise.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import rasterio
@@ -24,6 +30,18 @@ PROBES = ((0, 0), (0, 3), (3, 0), (3, 3), (1, 2), (2, 1))
 LEAST_AREA, LEAST_CONTACT, LEAST_FRACTION = 1024, 96, 0.125
 # Values that are tried, those with most edge first.
 MOST_VALUES = 4
+# Nearly black: all probes of a block under this share of the usual largest one. Speckle does that
+# in one block of ten millions.
+BLACK = 0.2
+# Windows a side, and their pixels a side, from which the usual one is taken.
+WINDOWS, SIDE = 3, 64
+# Skewness of the noise in shadow and water: Rayleigh's 0.63, rounded to whole grey levels.
+NOISE_SKEWNESS = (0.3, 0.9)
+# How much deeper than shadows within the tile are wide (the width that this share of their blocks
+# does not exceed) fill at its edge must be.
+DEEPER, WIDEST = 1.5, 0.9
+# Blocks from the edge in which distributions are taken.
+RIM = 8
 # Bytes that are read at once.
 READ_BYTES = 2**26
 
@@ -59,36 +77,132 @@ class Fill:
         return np.asarray(blocks[np.ix_(row, column)])
 
 
-def find_fill(source: rasterio.DatasetReader) -> tuple[Fill, ...]:
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """What the probes of a tile's blocks hold; each (rows, columns)."""
+
+    value: NDArray[np.float64]  # the first probe's
+    alike: NDArray[np.bool_]  # whether all are that
+    top: NDArray[np.float32]  # the largest valid one; NaN where none is valid
+
+
+def find_fill(
+    source: rasterio.DatasetReader, kind: Literal["linear", "intensity", "db"]
+) -> tuple[tuple[Fill, ...], str]:
     """Find a tile's fill; blocks that cannot be decoded are none.
 
     Parameters
     ----------
     source : DatasetReader
         Its nodata value and masks are not fill: they are told already.
+    kind : {"linear", "intensity", "db"}
+        What its numbers are; of decibels none are known to be black.
 
     Returns
     -------
-    tuple of Fill
+    fill : tuple of Fill
         One for each value.
+    border : str
+        What is nearly black at the edge and looks like fill; empty without it.
     """
-    if not _edge_alike(source):
-        return ()
-    value, alike = _block_map(source)
-    found = []
-    for candidate in _edge_values(value, alike):
+    limit = _black(source, kind)
+    if not _edge_odd(source, limit):
+        return (), ""
+    blocks = _block_map(source)
+    found, known = [], np.zeros(blocks.alike.shape, bool)
+    shape = source.height, source.width
+    for candidate in _edge_values(blocks.value, blocks.alike):
         if candidate == source.nodata:
             continue
-        area = _at_edge(alike & (value == candidate), (source.height, source.width))
-        if area is not None:
+        area = _at_edge(blocks.alike & (blocks.value == candidate), shape)
+        if area is not None and _rim(area, blocks.alike & (blocks.value == candidate), shape).any():
+            known |= area
             wide = scipy.ndimage.binary_dilation(area, np.ones((3, 3), bool))
             size = int(area.sum()) * BLOCK**2
             packed = np.packbits(wide).tobytes()
             found.append(Fill(candidate, area.shape[0], area.shape[1], packed, size))
-    return tuple(found)
+    return tuple(found), _black_border(blocks, known, limit, shape)
 
 
-def _edge_alike(source: rasterio.DatasetReader) -> bool:
+def _black(source: rasterio.DatasetReader, kind: str) -> float:
+    """Largest number that is nearly black; below all numbers where none is known to be."""
+    if kind == "db":
+        return -np.inf
+    tops = []
+    for k in range(WINDOWS**2):
+        row, column = (
+            (2 * i + 1) * max(n - SIDE, 0) // (2 * WINDOWS)
+            for i, n in zip(divmod(k, WINDOWS), (source.height, source.width), strict=True)
+        )
+        window = rasterio.windows.Window(
+            column, row, min(SIDE, source.width), min(SIDE, source.height)
+        )
+        try:
+            tops.append(_read_blocks(source, window).top.ravel())
+        except rasterio.errors.RasterioError:
+            continue
+    known = np.concatenate(tops) if tops else np.empty(0)
+    known = known[np.isfinite(known)]
+    share = BLACK if kind == "linear" else BLACK**2
+    return share * float(np.quantile(known, 0.75)) if known.size else -np.inf
+
+
+def _black_border(
+    blocks: _Blocks, known: NDArray[np.bool_], limit: float, shape: tuple[int, int]
+) -> str:
+    """Say which share of a tile is nearly black at its edge and is no shadow or water."""
+    dark = (blocks.top >= 0) & (blocks.top <= limit) & ~known
+    area = _at_edge(dark, shape)
+    if area is None or not (rim := _rim(area, dark, shape)).any():
+        return ""
+    values = blocks.value[rim]
+    values = values[(values >= 0) & (values <= limit)]  # a block's first probe may be nodata
+    if values.size < RIM:
+        return ""
+    mean, spread = float(values.mean()), float(values.std())
+    skewness = float((((values - mean) / spread) ** 3).mean()) if spread > 0 else 0.0
+    if NOISE_SKEWNESS[0] < skewness < NOISE_SKEWNESS[1]:
+        return ""
+    share = float(area.mean())
+    return f"{share:.0%} of it, at its edge, is nearly black, {values.min():g} to {values.max():g}"
+
+
+def _rim(
+    area: NDArray[np.bool_], dark: NDArray[np.bool_], shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Blocks of an area next to where it meets the tile's edge without a gap, deeper than shadows.
+
+    Shadows that run into the edge meet it each over a short way; one that lies along the edge is no
+    deeper than those within the tile are wide.
+    """
+    rim = np.zeros_like(area)
+    for turn, length in ((0, shape[1]), (1, shape[0]), (2, shape[1]), (3, shape[0])):
+        turned, target = np.rot90(area, turn), np.rot90(rim, turn)  # views: the top row is an edge
+        depth = np.where(turned.all(axis=0), turned.shape[0], turned.argmin(axis=0))
+        least = DEEPER * _usual_width(np.rot90(dark, turn))
+        ends = np.flatnonzero(np.diff(turned[0].astype(int), prepend=0, append=0))
+        for first, last in ends.reshape(-1, 2):
+            far = (last - first) * BLOCK >= min(LEAST_CONTACT, LEAST_FRACTION * length)
+            if far and np.median(depth[first:last]) > least:
+                target[:RIM, first:last] |= turned[:RIM, first:last]
+    return rim
+
+
+def _usual_width(dark: NDArray[np.bool_]) -> float:
+    """How many dark blocks follow each other down the columns, where they begin within the tile."""
+    # a bright row between columns parts their runs
+    column = np.zeros((dark.shape[1], dark.shape[0] + 1), np.int8)
+    column[:, :-1] = dark.T
+    first, last = np.flatnonzero(np.diff(column.ravel(), prepend=0, append=0)).reshape(-1, 2).T
+    inside = (first % (dark.shape[0] + 1) > 0) & (last % (dark.shape[0] + 1) < dark.shape[0])
+    runs = np.sort((last - first)[inside])
+    if not runs.size:
+        return 0.0
+    # the width that most dark blocks have: single ones are many, and are no shadow
+    return float(runs[np.searchsorted(np.cumsum(runs), WIDEST * runs.sum())])
+
+
+def _edge_odd(source: rasterio.DatasetReader, limit: float) -> bool:
     """Whether there can be fill: a quick look at the edge of a file that lies in tiles.
 
     One that lies in strips has to be read whole for its sides.
@@ -99,39 +213,44 @@ def _edge_alike(source: rasterio.DatasetReader) -> bool:
     bottom, right = ((n - 1) // BLOCK * BLOCK for n in (height, width))
     edges = ((0, 0, BLOCK, width), (bottom, 0, height - bottom, width),
              (0, 0, height, BLOCK), (0, right, height, width - right))  # fmt: skip
-    count = 0
+    count, least = 0, min(LEAST_CONTACT, LEAST_FRACTION * min(height, width)) / BLOCK
     for row, column, rows, columns in edges:
         try:
-            _, alike = _read_alike(source, rasterio.windows.Window(column, row, columns, rows))
+            blocks = _read_blocks(source, rasterio.windows.Window(column, row, columns, rows))
         except rasterio.errors.RasterioError:
             continue
-        count += int(alike.sum())
-    return bool(count * BLOCK >= min(LEAST_CONTACT, LEAST_FRACTION * min(height, width)))
+        count += int(blocks.alike.sum())
+        dark = np.flatnonzero(
+            np.diff((blocks.top.ravel() <= limit).astype(int), prepend=0, append=0)
+        )
+        if dark.size and np.diff(dark)[::2].max() >= least:
+            return True
+    return bool(count >= least)
 
 
-def _block_map(source: rasterio.DatasetReader) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """First value of each block, and whether the block holds no other."""
+def _block_map(source: rasterio.DatasetReader) -> _Blocks:
+    """Probe every block of a tile."""
     shape = -(-source.height // BLOCK), -(-source.width // BLOCK)
-    value, alike = np.full(shape, np.nan), np.zeros(shape, bool)
+    whole = _Blocks(np.full(shape, np.nan), np.zeros(shape, bool), np.full(shape, np.nan, "f4"))
     for top, height in _bands(source):
         window = rasterio.windows.Window(0, top, source.width, height)
         rows = slice(top // BLOCK, top // BLOCK + -(-height // BLOCK))
         try:
-            value[rows], alike[rows] = _read_alike(source, window)
+            part = _read_blocks(source, window)
         except rasterio.errors.RasterioError:
             continue  # an undecodable block fails its cells, not the survey
-    return value, alike
+        whole.value[rows], whole.alike[rows], whole.top[rows] = part.value, part.alike, part.top
+    return whole
 
 
-def _read_alike(
-    source: rasterio.DatasetReader, window: rasterio.windows.Window
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Read a window; its blocks' first values, and whether they hold no other."""
+def _read_blocks(source: rasterio.DatasetReader, window: rasterio.windows.Window) -> _Blocks:
+    """Read a window and probe its blocks."""
     # all_valid is told by every file without a mask, and nodata is compared by value
     flags = source.mask_flag_enums[0]
     masked = not {rasterio.enums.MaskFlags.all_valid, rasterio.enums.MaskFlags.nodata} & set(flags)
     raw = source.read(1, window=window)
-    return _alike(raw, source.read_masks(1, window=window) if masked else None)
+    mask = source.read_masks(1, window=window) if masked else None
+    return _probed(raw, mask, source.nodata)
 
 
 def _bands(source: rasterio.DatasetReader) -> Iterator[tuple[int, int]]:
@@ -144,9 +263,9 @@ def _bands(source: rasterio.DatasetReader) -> Iterator[tuple[int, int]]:
         yield top, min(step, source.height - top)
 
 
-def _alike(
-    raw: NDArray[np.generic], mask: NDArray[np.uint8] | None
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _probed(
+    raw: NDArray[np.generic], mask: NDArray[np.uint8] | None, nodata: float | None
+) -> _Blocks:
     rows, columns = (np.arange(0, n, BLOCK) for n in raw.shape)
 
     def probe(values: NDArray[np.generic], i: int, j: int) -> NDArray[np.generic]:
@@ -155,12 +274,18 @@ def _alike(
 
     first = probe(raw, 0, 0)
     alike = np.ones(first.shape, bool)
-    for i, j in PROBES:
-        alike &= probe(raw, i, j) == first
-        if mask is not None:
-            alike &= probe(mask, i, j) != 0
-    with np.errstate(invalid="ignore"):  # a broken file's NaN can be one that signals
-        return first.astype(float), alike
+    top = np.full(first.shape, np.nan, np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):  # a broken file's NaN can signal
+        for i, j in PROBES:
+            value = probe(raw, i, j)
+            alike &= value == first
+            there = value != nodata if nodata is not None else np.ones(first.shape, bool)
+            if mask is not None:
+                valid = probe(mask, i, j) != 0
+                alike &= valid
+                there &= valid
+            np.fmax(top, value.astype(np.float32), out=top, where=there)
+        return _Blocks(first.astype(float), alike, top)
 
 
 def _edge_values(value: NDArray[np.float64], alike: NDArray[np.bool_]) -> list[float]:

@@ -20,13 +20,15 @@ from sasmap.errors import InputError
 from sasmap.numerics.threads import mapped
 from sasmap.settings.survey import PassSettings, Survey
 from sasmap.survey.cells import CellGrid, check_grid_crs, lay_grid
+from sasmap.survey.chirp import check_ripples
 from sasmap.survey.contents import look_into
 from sasmap.survey.gains import compare_gains
 from sasmap.survey.navigation import read_navigation
 from sasmap.survey.passes import Side, SonarPass, open_lazily
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
-from sasmap.survey.seen import assign_tiles, check_altitude, shows_floor
-from sasmap.survey.tiles import Tile, find_tiles, inspect_tile
+from sasmap.survey.seen import assign_tiles, check_altitude, left_out, shows_floor
+from sasmap.survey.tiles import Tile, find_tiles, inspect_tile, near_miss
+from sasmap.survey.water import check_column
 
 T = TypeVar("T")
 
@@ -176,6 +178,7 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
         if not found:
             faults.lines.append(
                 f"{survey.path}: passes.{settings.name}.tiles: no file matches {pattern!r}"
+                f"{near_miss(survey.path.parent, pattern)}"
             )
         paths.extend(found)
     geographic = survey.crs is not None
@@ -254,6 +257,7 @@ def _open(
     found = assign_tiles(wanted, labels, crs, warnings)
     for one in found:
         check_altitude(one, crs, warnings)
+        warnings += check_column(one, crs) or check_ripples(one, crs)
         warnings += compare_gains(one.tiles, crs)
     warnings += _check_pixels(found, crs)
     return found
@@ -261,13 +265,15 @@ def _open(
 
 def _check_pixels(lines: list[SonarPass], crs: str) -> list[str]:
     """Check that the pass shows a pixel of sea floor; return a line for each tile that does not."""
-    empty, count = [], 0
+    empty, told, count = [], [], 0
     for sonar_pass in lines:
         for tile in sonar_pass.tiles:
             count += 1
             try:
                 if not shows_floor(sonar_pass, tile, crs):
                     empty.append(tile)
+                else:
+                    told.append(left_out(sonar_pass, tile, crs))
             except OSError:
                 continue  # an undecodable block fails its cells, not the survey
     if len(empty) == count:
@@ -275,7 +281,7 @@ def _check_pixels(lines: list[SonarPass], crs: str) -> list[str]:
             f"{empty[0].path}: pass {lines[0].settings_name!r} has no valid pixel: expected "
             "amplitudes of zero or more, not nodata, on a side it shows, outside the water column"
         )
-    return [f"{tile.path}: holds no valid pixel" for tile in empty]
+    return [*(f"{tile.path}: holds no valid pixel" for tile in empty), *filter(None, told)]
 
 
 def open_pass(survey: Survey, name: str) -> xr.DataArray:

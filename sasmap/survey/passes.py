@@ -318,7 +318,7 @@ def _around(cell: Cell, grid: CellGrid, reach: float) -> tuple[FloatArray, Float
     left, bottom, right, top = grid.bounds(cell)
     x, y = outline(Window(cell.row, cell.column, 1, 1), Lattice(grid.crs, grid.transform))
     centre_x, centre_y = (left + right) / 2, (bottom + top) / 2
-    wider = 1 + 2 * reach / grid.size
+    wider = grid.size / grid.spacing + 2 * reach / grid.spacing
     return centre_x + (x - centre_x) * wider, centre_y + (y - centre_y) * wider
 
 

@@ -32,6 +32,9 @@ FEWEST = 12
 # A step of altitude between two pings that no floor makes: a fraction of the median altitude that
 # heights would be wrong by, steeper than 45 degrees, and so much that it lasts.
 CLIFF = 0.2
+# Step of rounded altitudes, as a share of altitude, beyond which half of it is an error of A_H that
+# counts.
+COARSE = 0.05
 # A step across the track that lasts: metres, ping spacings, and standard deviations of the scatter
 # across the track. A range of ten metres is wrong by a twentieth of it.
 ASIDE, ASIDE_SPACINGS, ASIDE_SIGMAS = 0.5, 2.0, 8.0
@@ -84,6 +87,7 @@ def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
     _check_order(pings)
     pings = _filled(pings, warnings)
     pings = _without_spikes(pings, warnings)
+    _check_rounding(pings, warnings)
     _check_cliffs(pings, warnings)
     _check_jumps(pings, warnings)
     return pings, warnings
@@ -137,7 +141,11 @@ def _filled(pings: Pings, warnings: list[str]) -> Pings:
         return pings
     at = np.flatnonzero(missing)
     longest = max(len(run) for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1))
-    if at.size > MOST_BAD * missing.size or longest > LONGEST_GAP:
+    # an altimeter slower than the sonar leaves gaps between its readings, none of them long
+    slow = (
+        longest <= LONGEST_GAP and (~missing).sum() >= FEWEST / 2 and np.isnan(altitude[at]).all()
+    )
+    if longest > LONGEST_GAP or (at.size > MOST_BAD * missing.size and not slow):
         given = altitude[at[0]]
         what = "a number, got none" if np.isnan(given) else f"more than 0 m, got {given:g}"
         more = f" ({at.size} of {missing.size} pings have none)" if at.size > 1 else ""
@@ -226,6 +234,20 @@ def _from_either_side(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatAr
     return before, after
 
 
+def _check_rounding(pings: Pings, warnings: list[str]) -> None:
+    """Name altitudes that are rounded so much that heights are wrong."""
+    levels = np.unique(pings.altitude)
+    if levels.size < 2 or pings.altitude.size < FEWEST:
+        return
+    step, middle = float(np.diff(levels).min()), float(np.median(levels))
+    whole = np.abs(levels / step - np.rint(levels / step)).max() < 1e-3
+    if whole and step > COARSE * middle:
+        warnings.append(
+            f"{pings.path}: altitude is rounded to steps of {step:.2g} m: A_H is wrong by up to "
+            f"{step / 2 / middle:.0%}; export more digits"
+        )
+
+
 def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
     """Name steps of altitude that last, and that no sea floor makes between two pings."""
     limit = CLIFF * float(np.median(pings.altitude))
@@ -297,7 +319,8 @@ def rounding_of(values: FloatArray) -> float:
         return 0.0
     step = float(gaps.min())
     decimal = abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3
-    single = values.astype(np.float32)
+    with np.errstate(over="ignore"):  # what single precision cannot hold is not of it
+        single = values.astype(np.float32)
     coarse = bool((single == values).all()) and step >= 0.99 * np.spacing(np.abs(single).max())
     if not (decimal or coarse):
         return 0.0

@@ -34,8 +34,9 @@ def on_cell(
         NaN where the clip has no model.
     """
     step = grid.size / window
-    x = grid.left + cell.column * grid.size + step * (np.arange(window) + 0.5)
-    y = grid.top - cell.row * grid.size - step * (np.arange(window) + 0.5)
+    left, _, _, top = grid.bounds(cell)
+    x = left + step * (np.arange(window) + 0.5)
+    y = top - step * (np.arange(window) + 0.5)
     steps, first = lattice(clip)
     result = np.full((window, window), np.nan, np.float32)
     north_up = np.diag([step, -step])

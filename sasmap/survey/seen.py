@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sasmap.errors import InputError
 from sasmap.survey.contents import sample_windows
 from sasmap.survey.lattice import FloatArray, Window, transform_points
-from sasmap.survey.navigation import MIN_GRAZING
+from sasmap.survey.navigation import MIN_GRAZING, WGS84
 from sasmap.survey.passes import SonarPass, view
 from sasmap.survey.tiles import Tile, read_tile
 
@@ -27,6 +27,10 @@ SHARE, USUAL_GRAZING = 0.9, np.radians(3.0)
 STEEPEST, STEEP = np.radians(72.0), np.radians(35.0)
 # Grazing angle of its nearest pixel below which altitude is doubtful.
 LOW = np.radians(2.0)
+# Share of a tile's pixels beyond the ends of the line that is named, and pixels to one looked at.
+MOST_LEFT_OUT, STRIDE = 0.1, 8
+# Distance of a track from a tile, m, beyond which something is mixed up.
+FAR = 5000.0
 # Pixels that are read at once where a valid one is looked for.
 CHECKED_PIXELS = 1_000_000
 
@@ -92,7 +96,7 @@ def assign_tiles(
         sights = [_sight(line, tile, crs) for line in lines]
         able = _able([s.wanted for s in sights])
         if not able:
-            faults.append(_unseen(lines[0], tile, any(s.abeam.any() for s in sights)))
+            faults.append(_unseen(lines[0], tile, any(s.abeam.any() for s in sights), crs))
         elif len(able) > 1 and len(near := _usual(sights, able)) != 1:
             told = " and ".join(labels[k] for k in near[:3])
             faults.append(
@@ -134,17 +138,40 @@ def _usual(sights: list[_Sight], able: list[int]) -> list[int]:
     return found or able
 
 
-def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool) -> str:
+def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool, crs: str) -> str:
     if not abeam:
         return (
             f"{tile.path}: lies outside the navigation: no ping of {sonar_pass.navigation} "
             "passes abeam of it within the range a sonar at that altitude can see"
+            f"{_where_else(sonar_pass, tile, crs)}"
         )
     other = "port" if sonar_pass.sides == ("starboard",) else "starboard"
     return (
         f"{tile.path}: lies on the {other} side of the track; expected {sonar_pass.sides[0]}: "
         "correct side:, or the navigation's rows if they run against time"
     )
+
+
+def _where_else(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
+    """Say how far away a track is, and what mix-up would bring it there."""
+    track = sonar_pass.track
+    ping = np.array([np.median(track.x)]), np.array([np.median(track.y)])
+    at = np.array([np.mean(v) for v in tile.outline_in(crs)])
+    away = float(np.hypot(ping[0][0] - at[0], ping[1][0] - at[1]))
+    if not away > FAR:
+        return ""
+    longitude, latitude = transform_points(crs, WGS84, *ping)
+    mixed = {
+        "x and y may be swapped": (ping[1], ping[0]),
+        "positions may be in kilometres": (1000 * ping[0], 1000 * ping[1]),
+        "longitude may lack its minus sign": transform_points(WGS84, crs, -longitude, latitude),
+        "latitude may lack its minus sign": transform_points(WGS84, crs, longitude, -latitude),
+    }
+    told = f": the track is {away / 1000:.0f} km away"
+    for text, (x, y) in mixed.items():
+        if np.hypot(x[0] - at[0], y[0] - at[1]) < FAR:
+            return f"{told}: {text}"
+    return f"{told}: check columns: and navigation_crs:"
 
 
 def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None:
@@ -163,10 +190,13 @@ def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None
     InputError
         Where all pixels lie almost below the sonar.
     """
-    if sonar_pass.slant:  # pixels nearer than the altitude are water column, and told there
-        return
     sights = [_sight(sonar_pass, tile, crs) for tile in sonar_pass.tiles]
     grazing = np.concatenate([s.grazing[s.wanted] for s in sights])
+    if sonar_pass.slant:  # the sine, not the tangent; pixels nearer than the altitude are water
+        sine = np.tan(grazing)
+        grazing = np.arcsin(sine[sine < 1])
+        if not grazing.size:
+            return  # no floor at all, which is told there
     farthest, nearest = float(grazing.min()), float(grazing.max())
     middle = float(np.median(sonar_pass.track.altitude))
     start = f"{sonar_pass.navigation}: altitude: about {middle:.3g} m, but the tiles' "
@@ -215,6 +245,44 @@ def shows_floor(sonar_pass: SonarPass, tile: Tile, crs: str) -> bool:
         if (valid & ~np.isnan(seen)).any():
             return True
     return False
+
+
+def left_out(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
+    """Say which part of a tile's valid pixels no ping passes abeam of.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    tile : Tile
+    crs : str
+        The survey's.
+
+    Returns
+    -------
+    str
+        A line; empty where the part is small.
+
+    Raises
+    ------
+    OSError
+        Where a block cannot be decoded.
+    """
+    if np.isnan(_sight(sonar_pass, tile, crs).grazing).mean() < MOST_LEFT_OUT:
+        return ""  # whatever of it is valid
+    valid, lost = 0, 0
+    for part in sample_windows(tile.window):
+        there = ~np.isnan(read_tile(tile, part)[::STRIDE, ::STRIDE])
+        x, y = (np.broadcast_to(v, (part.height, part.width))[::STRIDE, ::STRIDE][there]
+                for v in tile.lattice.centres(part))  # fmt: skip
+        seen = sonar_pass.track.locate(*transform_points(tile.lattice.crs, crs, x, y))
+        valid, lost = valid + x.size, lost + int(np.isnan(seen.distance).sum())
+    if lost < MOST_LEFT_OUT * valid:
+        return ""
+    return (
+        f"{tile.path}: {lost / valid:.0%} of its pixels lie beyond the ends of the line of "
+        f"{sonar_pass.navigation}, abeam of no ping, and are left out: export the navigation of "
+        "the whole line"
+    )
 
 
 def _bands(whole: Window) -> Iterator[Window]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import glob
 import hashlib
 import logging
@@ -33,6 +34,7 @@ from sasmap.survey.lattice import Lattice, Window, bounding_window, outline, tra
 # Of tifffile, where a file's structure is broken.
 TIFF_FAULTS = (tifffile.TiffFileError, struct.error, ValueError, IndexError, KeyError, TypeError,
                ZeroDivisionError, AttributeError)  # fmt: skip
+TIFF_ENDINGS = (".tif", ".tiff")
 # TIFF's PlanarConfiguration of bands that lie apart.
 SEPARATE = 2
 
@@ -170,7 +172,7 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
     except UnicodeEncodeError:
         raise InputError(f"{path}: expected a file name in UTF-8") from None
     if not path.is_file():
-        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
+        raise InputError(_no_file(path))
     try:
         with open_geotiff(path) as source:
             check_bands(path, source)
@@ -184,7 +186,23 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
                 kind=kind,
             )
     except (rasterio.errors.RasterioIOError, CPLE_BaseError):
-        raise InputError(f"{path}: not a GeoTIFF that can be opened") from None
+        raise InputError(f"{path}: not a GeoTIFF that can be opened{_made_of(path)}") from None
+
+
+def _no_file(path: Path) -> str:
+    if path.is_dir():
+        inside = sorted({f.suffix for f in path.iterdir() if f.suffix.lower() in TIFF_ENDINGS})
+        return f"{path}: a folder: expected files, such as {path.name}/*{(inside or ['.tif'])[0]}"
+    return f"{path}: no such file" if not path.exists() else f"{path}: not a file"
+
+
+def _made_of(path: Path) -> str:
+    """Say how to make a GeoTIFF of a file that is none."""
+    if path.suffix.lower() == ".xtf":
+        return f": a raw recording: sasmap tiles {path.name} --output DIR"
+    if path.suffix.lower() not in TIFF_ENDINGS:
+        return f": convert it: gdal_translate {path.name} {path.stem}.tif"
+    return ""
 
 
 def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
@@ -422,3 +440,29 @@ def find_tiles(folder: Path, pattern: str) -> list[Path]:
         return [folder / pattern]
     full = os.path.join(glob.escape(str(folder)), pattern)
     return [Path(name) for name in sorted(glob.glob(full, recursive=True))]
+
+
+def near_miss(folder: Path, pattern: str) -> str:
+    """Say why a pattern that names no file may do so.
+
+    Parameters
+    ----------
+    folder : Path
+        Where relative patterns start.
+    pattern : str
+
+    Returns
+    -------
+    str
+        To go on with after a message; empty where nothing is known.
+    """
+    if "\\" in pattern:
+        return f": folders are parted by /: {pattern.replace(chr(92), '/')!r}"
+    wanted = folder / expanded(pattern)
+    if not glob.has_magic(str(wanted.parent)):
+        if not wanted.parent.is_dir():
+            return f": there is no folder {wanted.parent}"
+        for name in sorted(os.listdir(wanted.parent)):
+            if fnmatch.fnmatchcase(name.lower(), wanted.name.lower()):
+                return f": upper and lower case differ: there is {name}"
+    return ""

@@ -13,7 +13,8 @@ from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
 from sasmap.errors import InputError
-from sasmap.sediments.segmentation import LEAST_SAMPLES, noise_factor
+from sasmap.sediments.classes import noise_factor
+from sasmap.sediments.training import LEAST_SAMPLES
 from sasmap.sediments.trends import AmplitudeGrid
 from sasmap.settings.survey import ClassSettings, Survey
 from sasmap.survey.cells import Cell, CellGrid

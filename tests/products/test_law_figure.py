@@ -9,7 +9,10 @@ from sasmap.ripples.survey import SurveyModel
 def model(sd, learned=True):
     rng = np.random.default_rng(1)
     laws = np.array([2.0, 0.1]) + sd * rng.standard_normal((24, 2))
-    values = [Shared(law, np.full(2, 0.1), np.zeros(1), np.full(3, 0.01), 0.2) for law in laws]
+    values = [
+        Shared(law, np.full(2, 0.1), np.zeros(2), np.zeros(1), np.full(3, 0.01), 0.2)
+        for law in laws
+    ]
     return SurveyModel(tuple(values), learned)
 
 
@@ -26,6 +29,13 @@ def test_the_caption_says_whether_anything_fixed_the_law():
     assert "n 2.0" in picture.caption
     assert "No shadow" not in picture.caption
     assert "No shadow" in told(model(1.0))
+
+
+def test_the_caption_says_that_shape_misleads():
+    plain = model(0.05)
+    bent = [v._replace(shift=np.array([-1.0, 0.0])) for v in plain.values]
+    assert "bends otherwise" not in told(plain)
+    assert "wrong by -1.0" in told(SurveyModel(tuple(bent), True))
 
 
 @pytest.mark.parametrize("survey", [None, model(0.1, learned=False)])

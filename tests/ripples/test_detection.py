@@ -5,9 +5,9 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.detection import Unclear, Wave, find_waves
 from sasmap.ripples.estimation import second_system
+from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import as_image
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.spectra import flattened
 from sasmap.ripples.summary import summarise
 from tests.helpers import clip_of
 
@@ -201,8 +201,27 @@ def test_a_second_system_is_estimated_and_does_not_spoil_the_first():
     assert np.isnan(summarise(alone).second_mean[0])
 
 
+@pytest.mark.parametrize(("turn", "waves"), [(0.7, 11), (-0.3, 12), (-0.2, 20)])
+def test_a_second_system_is_found_beside_the_first_in_another_direction_or_the_same(turn, waves):
+    floor = wave(-0.3, 0.35, waves=7.5) + wave(turn, 0.25, waves=waves) - 1
+    found = found_in(image(floor)).waves
+    second = second_system(found, max(found, key=lambda w: w.energy).vector)
+    assert abs(float(np.hypot(*second.vector)) * 15 / waves - 1) < 0.05
+    assert second.probability > 0.5
+
+
+@pytest.mark.parametrize("forks", [0, 15])
+def test_ripples_of_one_system_have_no_second(forks):
+    for seed in range(3):
+        floor = wave(0.4 * seed - 0.3, 0.6, waves=8, forks=forks, seed=seed) ** 2  # peaked
+        found = found_in(image(floor, seed)).waves
+        strongest = max(found, key=lambda w: w.energy)
+        assert strongest.probability > 0.5
+        assert second_system(found, strongest.vector) is None
+
+
 def a_wave(vector, whole=True):
-    return Wave(np.array(vector), 5.0, 4.0, 1.0, whole)
+    return Wave(np.array(vector), 5.0, 1.0, whole)
 
 
 def test_bends_parts_and_overtones_are_no_second_system():

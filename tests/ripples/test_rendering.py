@@ -6,6 +6,7 @@ import pytest
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.fit import MODEL_SHIFT
 from sasmap.ripples.rendering import (
+    BOUND,
     CREST,
     FACETS,
     LINE_OF_SIGHT,
@@ -50,11 +51,13 @@ def profile(n, peakedness=0.0, asymmetry=0.0, third=(0.0, 0.0)):
 
 def crest_height(place, peakedness, asymmetry, n=20000):
     """Profile over A_H at places (cycles), from its Fourier series alone."""
-    x = 2 * np.pi * (np.arange(n) + 0.5) / n
-    whole = np.sin(x) - peakedness * np.cos(2 * x) - asymmetry * np.sin(2 * x)
-    x = 2 * np.pi * np.asarray(place)
-    here = np.sin(x) - peakedness * np.cos(2 * x) - asymmetry * np.sin(2 * x)
-    return 2 * here / np.ptp(whole)
+
+    def series(x):
+        second = peakedness * np.cos(2 * x) + asymmetry * np.sin(2 * x)
+        return np.sin(x) - second + BOUND * asymmetry**2 * np.sin(3 * x)
+
+    whole = series(2 * np.pi * (np.arange(n) + 0.5) / n)
+    return 2 * series(2 * np.pi * np.asarray(place)) / np.ptp(whole)
 
 
 def law_intensity(sine, exponent, concentration):
@@ -99,6 +102,10 @@ def test_peaked_and_asymmetric_profiles_are_what_they_say():
     np.testing.assert_allclose(profile(4000, 0.25)[0], peaked - peaked.mean(), atol=1e-5)
     _, slopes = profile(4000, 0.0, 0.25)
     assert slopes.min() < -1.3 * slopes.max() or slopes.max() > -1.3 * slopes.min()
+    # a wave whose phase is modulated, to second order in the modulation
+    modulated = np.sin(x + 0.3 * np.sin(x))
+    np.testing.assert_allclose(profile(4000, 0.0, -0.151)[0], modulated, atol=0.02)
+    assert np.abs(profile(4000, 0.0, 0.151)[0] - modulated).max() > 0.2
     x3 = np.exp(-3j * x)
     third = 2 * np.mean(profile(4000, third=(0.0, 0.1))[0] * x3)
     first = 2 * np.mean(profile(4000, third=(0.0, 0.1))[0] * np.exp(-1j * x))

@@ -5,9 +5,11 @@ import pytest
 
 from sasmap.sediments import k_distribution
 from sasmap.sediments.bands import find_bands
+from sasmap.sediments.carrying import carry_over
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.floor import gather
 from sasmap.sediments.segmentation import find_classes
+from sasmap.sediments.training import train_classes
 from sasmap.sediments.trends import AmplitudeGrid, first_trends
 from tests.sediments.test_segmentation import rand_index
 
@@ -48,10 +50,10 @@ def test_weak_bands_that_two_sides_do_not_share_are_gain():
 
 def test_bands_are_those_of_the_gain():
     grid = look(np.zeros((SIZE, SIZE), int), near(X), 4, 3.0)
-    blocks, centre = gather([grid], None)
+    blocks, _ = gather([grid], None)
     bands = find_bands(blocks, np.zeros((1, 3)))
     reach = np.linspace(22, 58, 50)
-    off = bands.of(0, np.log(reach / 5) - centre) - np.log(banded(reach, 3.0))
+    off = bands.of(0, reach / 5) - np.log(banded(reach, 3.0))
     assert np.std(off) < 0.04
 
 
@@ -83,3 +85,85 @@ def test_a_repeated_line_confirms_nothing():
     assert len(find_classes(lines).laws) == 1
     blocks, _ = gather(lines, None)
     assert find_bands(blocks, first_trends(blocks)).span > 0.3
+
+
+def sloping(by_range, seed, truth=0, levels=(1.0,)):
+    """Bands that go by slant range, or by grazing angle, while the altitude falls."""
+    altitude = np.broadcast_to(11.0 - 7.0 * Y / SIZE, X.shape)
+    reach = np.hypot(near(X), altitude)
+    place = reach if by_range else 5 * near(X) / altitude
+    amplitude = k_distribution.rvs(8.0, size=X.shape, random_state=seed)
+    amplitude = amplitude * np.sqrt(np.array(levels))[np.full(X.shape, truth)]
+    gain = 10 ** (2 / 20 * np.sin(2 * np.pi * 3 * np.log(place / 20)))
+    return AmplitudeGrid(amplitude * gain, near(X) / altitude, altitude)
+
+
+@pytest.mark.parametrize("by_range", [False, True])
+def test_gain_goes_by_angle_or_range_as_the_data_say(by_range):
+    line = sloping(by_range, 11)
+    blocks, _ = gather([line], None)
+    bands = find_bands(blocks, first_trends(blocks))
+    assert bands.ranged == by_range
+    classes = find_classes([line])
+    assert len(classes.laws) == 1
+    assert classes.ranged == by_range
+    # without altitudes there is the angle alone
+    assert not find_bands(gather([line._replace(altitude=None)], None)[0], np.zeros((1, 3))).ranged
+
+
+def test_angles_at_which_nothing_returns_are_the_water_column():
+    cotangent = X / 40
+    dark = np.where(cotangent < 2, 0.05, 1.0)
+    bands = np.exp(0.35 * np.sin(np.log(np.maximum(cotangent, 0.1)) * 6))
+    amplitude = k_distribution.rvs(8.0, size=X.shape, random_state=12) * dark * bands
+    line = [AmplitudeGrid(amplitude, cotangent)]
+    classes = find_classes(line)
+    assert len(classes.laws) == 1
+    label = class_map(log_likelihoods(line, classes), 1).label
+    assert (label[:, cotangent[0] < 1.7] == 0).mean() > 0.95
+    assert (label[:, cotangent[0] > 2.3] == 1).all()
+
+
+@pytest.mark.parametrize("count", [2, None])
+def test_a_number_that_is_asked_for_is_found_without_bands(count):
+    truth = (X + 0.6 * Y > 410).astype(int)
+    looks = [look(truth, near(X), 13, 3.0)]
+    classes = find_classes(looks, count)
+    assert classes.bands is not None
+    label = class_map(log_likelihoods(looks, classes)).label
+    assert rand_index(truth, label.astype(int)) > 0.9
+
+
+def test_training_confirms_bands_or_sediments():
+    marks = np.zeros((SIZE, SIZE), np.uint8)
+    flat = [look(np.zeros((SIZE, SIZE), int), near(X), 14, 3.0)]
+    marks[40:470, 20:490] = 1
+    assert train_classes(flat, marks, 1).bands is not None
+    # sediments beyond each other along the whole line, as marked
+    truth = (X > 256).astype(int)
+    shown = np.where(np.abs(X - 256) > 40, truth + 1, 0).astype(np.uint8)
+    line = [look(truth, near(X), 15)]
+    classes = train_classes(line, shown, 2)
+    assert classes.bands is None
+    label = class_map(log_likelihoods(line, classes), 2).label
+    assert (label == truth + 1).mean() > 0.95
+
+
+def test_classes_are_carried_over_to_a_line_with_bands():
+    truth = (X + 0.6 * Y > 410).astype(int)
+    first = [look(truth, near(X), 16, 3.0)]
+    classes = find_classes(first)
+    again = carry_over([look(truth, near(X), 17, 3.0)], classes.laws, classes.centre)
+    assert again.bands is not None
+    plain = carry_over([look(truth, near(X), 18)], classes.laws, classes.centre)
+    assert plain.bands is None
+
+
+def test_drift_makes_no_classes_and_an_edge_does():
+    y, x = np.indices((1536, 256))
+    reach = 20 + 40.0 * x / 256
+    floor = look(np.zeros(y.shape, int), reach, 19)
+    drift = np.exp(0.25 * np.sin(2 * np.pi * y / 1536))
+    assert len(find_classes([floor._replace(amplitude=floor.amplitude * drift)]).laws) == 1
+    jump = np.where(y > 700, np.exp(0.25), 1.0)
+    assert len(find_classes([floor._replace(amplitude=floor.amplitude * jump)]).laws) == 2

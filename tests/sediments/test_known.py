@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from sasmap.sediments.carrying import carry_over
 from sasmap.sediments.classmap import class_map, log_likelihoods
-from sasmap.sediments.segmentation import carry_over, find_classes, train_classes
+from sasmap.sediments.segmentation import find_classes
+from sasmap.sediments.training import train_classes
 from sasmap.sediments.trends import AmplitudeGrid
 from tests.sediments.test_segmentation import LEVELS, looks_at, rand_index, regions
 

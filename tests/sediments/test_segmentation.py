@@ -6,7 +6,8 @@ from sasmap.sediments import floor, k_distribution, mapping, segmentation
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import Line, paint, refine_map, traced
 from sasmap.sediments.nodes import Boundary
-from sasmap.sediments.segmentation import find_classes, separation
+from sasmap.sediments.segmentation import find_classes
+from sasmap.sediments.separation import separation
 from sasmap.sediments.trends import AmplitudeGrid
 
 LEVELS, NUS = (1.0, 2.2, 0.4, 4.5), (50.0, 4.0, 20.0, 1.0)

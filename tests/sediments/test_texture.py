@@ -7,8 +7,9 @@ from sasmap.run.class_models import model_text, read_model
 from sasmap.sediments import segmentation
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.grouping import bhattacharyya
-from sasmap.sediments.segmentation import find_classes, train_classes
+from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import LAGS, SCALES, channels
+from sasmap.sediments.training import train_classes
 from sasmap.sediments.trends import AmplitudeGrid
 
 SIZE = 384

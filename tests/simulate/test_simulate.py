@@ -121,6 +121,54 @@ def test_truth_follows_the_wander_and_forks():
     assert abs(winding - 2 * np.pi) < 1e-6  # one crest more on one side than on the other
 
 
+def test_bends_leave_the_crests_around_them_as_they_are():
+    bends = [[4, 2], [9, 2], [9, 7], [4, 7]]
+    bent = {"wander": 0.9, "wander_length": 2.0, "forks": [[6, 4], [7, 5]], "bends": bends}
+    plain = SeaFloor(scene_of(ripples=[RIPPLES]))
+    floor = SeaFloor(scene_of(ripples=[{**RIPPLES, **bent}]))
+    x, y = np.meshgrid(500000 + np.linspace(0.5, 9.5, 181), 3300000 + np.linspace(0.5, 7.5, 141))
+    outline = np.add(bends, (500000.0, 3300000.0))
+    inside = in_polygon(x, y, outline) | (edge_distance(x, y, outline) < 0.01)
+    was, now = plain.waves(x, y), floor.waves(x, y)
+    for a, b in zip(was, now, strict=True):
+        np.testing.assert_array_equal(a[~inside], b[~inside])
+    # crests go on across the edge: the sea floor has no step there
+    assert np.abs(np.diff(floor.surface(x, y), axis=0)).max() < 0.02
+    turn = np.angle(np.exp(1j * (now.phase - was.phase)))
+    assert np.abs(turn[inside]).max() > 1.0
+    # the wave vector is the phase's gradient, but at forks and where two edges are as near
+    step = 1e-4
+    east = np.angle(np.exp(1j * (floor.waves(x + step, y).phase - now.phase))) / (2 * np.pi * step)
+    away = np.min([np.hypot(x - 500000 - a, y - 3300000 - b) for a, b in bent["forks"]], 0) > 1.5
+    assert np.mean(np.abs(east - now.east)[away] < 0.05) > 0.99
+
+
+def test_bends_with_an_end_need_pairs_of_forks():
+    with pytest.raises(ValueError, match="pairs"):
+        scene_of(ripples=[{**RIPPLES, "forks": [[5, 4]], "bends": [[4, 2], [9, 2], [9, 7]]}])
+
+
+def test_added_ripples_cross_those_beneath(tmp_path):
+    crossing = {"frequency": 1.1, "height": 0.02, "azimuth": 30, "added": True}
+    one, other = (
+        scene_of(ripples=[RIPPLES]),
+        scene_of(physics="coherent", ripples=[{**crossing, "added": False}]),
+    )
+    scene = scene_of(physics="coherent", ripples=[RIPPLES, crossing])
+    x, y = 500000 + np.linspace(1, 9, 50), 3300000 + np.linspace(1, 7, 50)
+    floor = SeaFloor(scene)
+    parts = SeaFloor(one).surface(x, y) + SeaFloor(other).surface(x, y)
+    np.testing.assert_allclose(floor.surface(x, y), parts, atol=1e-12)
+    assert np.abs(parts).max() <= floor.relief
+    np.testing.assert_allclose(floor.waves(x, y).height, RIPPLES["height"])
+    np.testing.assert_allclose(floor.second(x, y).height, 0.02)
+    simulate(scene, tmp_path)
+    with rasterio.open(tmp_path / "truth" / "ripple_frequency_second.tif") as truth:
+        np.testing.assert_allclose(truth.read(1), 1.1, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"ripples.added: this value needs physics: coherent"):
+        scene_of(ripples=[RIPPLES, crossing])
+
+
 def test_patches_fade_at_their_edge():
     square = [[2, 2], [8, 2], [8, 6], [2, 6]]
     floor = SeaFloor(scene_of(ripples=[{**RIPPLES, "polygon": square}]))

@@ -22,7 +22,7 @@ def test_grid_starts_at_the_upper_left_of_all_tiles(tmp_path):
 
 
 def test_every_point_lies_in_one_cell():
-    grid = CellGrid(WKT, 500000.0, 3300000.0, 12.5, 4, 5)
+    grid = CellGrid(WKT, 500000.0, 3300000.0, 12.5, 4, 5, 12.5)
     rng = np.random.default_rng(1)
     x = 500000 + np.concatenate([rng.uniform(0, 62.5, 500), 12.5 * np.arange(5)])
     y = 3300000 - np.concatenate([rng.uniform(0, 50, 500), 12.5 * np.arange(4), [3.0]])
@@ -56,7 +56,7 @@ def test_utm_is_accepted():
 
 def test_tiles_meet_the_cells_they_overlap(tmp_path):
     tile = inspect_tile(write_tile(tmp_path / "b.tif", RAMP, NORTH_UP))
-    grid = CellGrid(tile.lattice.crs, 499997.0, 3300003.0, 5.0, 4, 6)
+    grid = CellGrid(tile.lattice.crs, 499997.0, 3300003.0, 5.0, 4, 6, 5.0)
     # the tile is 10 m x 6 m from (500000, 3300000) down
     assert {tuple(c) for c in grid.met_by(tile, 0.0)} == {(r, c) for r in (0, 1) for c in (0, 1, 2)}
     assert len(set(grid.met_by(tile, 2.5))) > 6
@@ -70,3 +70,28 @@ def test_a_grid_too_large_to_hold_is_refused(tmp_path):
     ]
     with pytest.raises(InputError, match="choose a larger window"):
         lay_grid(tiles, tiles[0].lattice.crs, 4)
+
+
+def test_overlapping_cells_share_pixels_and_reach_the_end():
+    plain = CellGrid(WKT, 500000.0, 3300000.0, 12.5, 2, 3, 12.5)
+    grid = plain.overlapping(6.25)
+    assert (grid.rows, grid.columns) == (3, 5)
+    assert grid.bounds(Cell(2, 4)) == plain.bounds(Cell(1, 2))
+    assert grid.bounds(Cell(0, 1)) == (500006.25, 3299987.5, 500018.75, 3300000.0)
+    # a raster's pixel is about its cell's centre
+    left, _, right, top = grid.bounds(Cell(1, 3))
+    x, y = grid.transform @ (3.5, 1.5)
+    assert (x, y) == ((left + right) / 2, top - 6.25)
+    assert grid.transform.a == 6.25
+    rng = np.random.default_rng(1)
+    x, y = 500006.25 + rng.uniform(0, 25, 500), 3299993.75 - rng.uniform(0, 12.5, 500)
+    held = sum(grid.holds(cell, x, y).astype(int) for cell in grid)
+    np.testing.assert_array_equal(held, 4)
+
+
+def test_tiles_meet_the_overlapping_cells_that_hold_a_point_of_them(tmp_path):
+    tile = inspect_tile(write_tile(tmp_path / "c.tif", RAMP, NORTH_UP))
+    grid = CellGrid(tile.lattice.crs, 499991.0, 3300007.0, 5.0, 6, 9, 5.0).overlapping(1.7)
+    x, y = np.meshgrid(500000 + np.arange(0.05, 10, 0.1), 3300000 - np.arange(0.05, 6, 0.1))
+    shown = {cell for cell in grid if grid.holds(cell, x, y).any()}
+    assert set(grid.met_by(tile, 0.0)) == shown

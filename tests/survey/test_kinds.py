@@ -117,10 +117,35 @@ def powered(gamma, level=LEVEL):
     return np.minimum(255 * (level / 255) ** gamma + 0.5, 255).astype("uint8")
 
 
-def water(values):
+NADIR = PLACE @ Affine.translation(-100, 0)
+
+
+def water(values, fill=False):
+    """The first five metres of a tile that begins below the sonar show water, or nothing."""
     values = values.copy()
-    values[:, :60] = RNG.rayleigh(2.0, (SIDE, 60)).astype(values.dtype)
+    values[:, :100] = 0 if fill else RNG.rayleigh(2.0, (SIDE, 100)).astype(values.dtype)
     return values
+
+
+def column(values, altitude=5.0, **keys):
+    def write(folder):
+        folder.tile(values, transform=NADIR, nodata=0)
+        folder.pings(track(altitude=altitude))
+        folder.keys.update(keys)
+
+    return write
+
+
+def bordered(noise):
+    """Speckle with a corner and a side of something nearly black."""
+    row, column = np.mgrid[:SIDE, :SIDE]
+    return np.where((row + column < 200) | (column > 290), noise, SPECKLE).astype("float32")
+
+
+def striped(first):
+    """Shadows 24 pixels wide along the tile's side, the first one cut by its edge."""
+    dark = (np.arange(SIDE) + first) % 60 < 24
+    return np.where(dark, RNG.rayleigh(1.5, (SIDE, SIDE)), SPECKLE).astype("uint8")
 
 
 def palette(folder):
@@ -187,6 +212,32 @@ def rounded(folder):
     folder.text(rows_of(rows, head="longitude,latitude,altitude"))
 
 
+def named(name, pattern):
+    def write(folder):
+        folder.tile()
+        (folder.path / "t" / "a.tif").rename(folder.path / "t" / name)
+        folder.tile(name="b.tif")
+        folder.keys["tiles"] = [pattern]
+        folder.pings(track())
+
+    return write
+
+
+def picture(folder):
+    image = pytest.importorskip("PIL.Image")
+    image.fromarray(SPECKLE).save(folder.path / "t" / "a.png")
+    folder.keys["tiles"] = ["t/*.png"]
+    folder.tile(name="b.tif")
+
+
+def west(folder):
+    longitude, latitude = -81.0, np.linspace(29.8297, 29.8301, 90)
+    folder.text(rows_of(track(-longitude, latitude), head="longitude,latitude,altitude"))
+
+
+SLOW = "\n".join(
+    f"{x},{y},{z if k % 6 == 0 else ''}" for k, (x, y, z) in enumerate(track().tolist())
+)
 LATE = np.arange(NORTH.size)[:, None] >= 30
 EAST, ALTITUDE = np.arange(3) == 0, np.arange(3) == 2
 FAR_LINE = track(502000.0, NORTH[::-1])
@@ -230,7 +281,7 @@ KINDS = [
     ("dark floor in 8 bits", "same", (), tile(np.rint(np.hypot(*COMPLEX) * 4).astype("uint8"))),
     ("speckle over four pixels", "same", (),
      tile(np.hypot(*gaussian_filter(COMPLEX, (0, 1.5, 1.5))).astype("float32"))),
-    ("water column and noise", "same", (), tile(water(SPECKLE))),
+    ("water column and noise", "same", (), column(water(SPECKLE), range="slant")),
     ("16 bits", "same", (), tile((LEVEL * 200).astype("uint16"))),
     ("grey with alpha", "same", (),
      tile(np.stack([SPECKLE, np.full_like(SPECKLE, 255)]),
@@ -250,6 +301,29 @@ KINDS = [
     ("fill of -9999", "name", ("a.tif", "-9999", "-a_nodata"), tile(filled(-9999.0))),
     ("white fill", "name", ("a.tif", "255"), tile(filled(255, dtype="uint8"))),
     ("thin black frame", "name", ("a.tif", "exactly 0"), tile(filled(0, 9, "uint8"))),
+    ("border of noise", "name", ("a.tif", "nearblack"),
+     tile(bordered(RNG.integers(0, 4, (SIDE, SIDE))))),
+    ("border of tiny numbers", "name", ("a.tif", "nearblack"),
+     tile(bordered(RNG.uniform(0, 1e-3, (SIDE, SIDE))))),
+    ("shadows along the edge", "same", (), tile(striped(0))),
+    ("shadows of exactly zero along the edge", "same", (), tile(striped(6) // 8 * 8)),
+    # range and the water column
+    ("slant told as ground", "name", ("nav.csv", "dark up to 5", "range: slant"),
+     column(water(SPECKLE))),
+    ("slant without water told as ground", "name", ("nav.csv", "range: slant"),
+     column(water(SPECKLE, fill=True))),
+    ("ground told as slant", "name", ("nav.csv", "range: ground"), column(SPECKLE, range="slant")),
+    ("slant, altitude in feet", "doubt", ("nav.csv", "first echo stands at 5", "feet"),
+     column(water(np.hstack([SPECKLE, SPECKLE])), 16.4, range="slant")),
+    ("slant, altitude in fathoms", "doubt", ("nav.csv", "first echo stands at 5", "fathoms"),
+     column(water(SPECKLE), 2.73, range="slant")),
+    # names of files
+    ("ending in upper case", "refuse", ("upper and lower case", "a.TIF"),
+     named("a.TIF", "t/a*.tif")),
+    ("folders parted as on Windows", "refuse", ("parted by /",), named("a.tif", "t\\*.tif")),
+    ("a folder for its tiles", "refuse", ("expected files, such as t/*.tif",), named("a.tif", "t")),
+    ("no such folder", "refuse", ("there is no folder",), named("a.tif", "tiles/*.tif")),
+    ("PNG", "refuse", ("gdal_translate a.png a.tif",), picture),
     # place
     ("geographic", "refuse", ("a.tif", "crs: EPSG:"),
      tile(SPECKLE, transform=Affine(5e-7, 0, -81, 0, -5e-7, 29.8), crs="EPSG:4326")),
@@ -322,6 +396,16 @@ KINDS = [
      lambda f: (f.tile(crs=None, transform=None), (f.path / "t/a.tfw").write_text("1\n"))),
     ("unknown column named", "refuse", ("nav.csv", "'depth'"),
      text(rows_of(track()), columns={"altitude": "depth"})),
+    ("x and y swapped", "refuse", ("may be swapped",), pings(track()[:, [1, 0, 2]])),
+    ("kilometres", "refuse", ("may be in kilometres",), pings(track() / [1e3, 1e3, 1.0])),
+    ("longitude without its sign", "refuse", ("longitude may lack",), west),
+    ("another zone", "refuse", ("km away", "navigation_crs"),
+     text(rows_of(track()), navigation_crs="EPSG:32618")),
+    ("navigation of half the tile", "name", ("a.tif", "beyond the ends"), pings(track()[:25])),
+    ("altitude in whole metres", "name", ("nav.csv", "rounded to steps of 1 m"),
+     pings(np.column_stack([track()[:, :2], np.round(np.linspace(4.2, 5.8, NORTH.size))]))),
+    ("an altimeter slower than the sonar", "name", ("nav.csv", "interpolated"),
+     text("x,y,altitude\n" + SLOW + "\n")),
     ("a wide row", "refuse", ("nav.csv", "row 4"),
      text(rows_of(track()).replace("\n500000.0,3299996.0,5.0", "\n500000,0,3299996,0,5,0"))),
 ]  # fmt: skip

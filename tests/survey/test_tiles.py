@@ -56,7 +56,7 @@ def test_missing_text_and_folder(tmp_path):
     assert "no such file" in faulty(tmp_path / "none.tif")
     (tmp_path / "text.tif").write_text("not a tiff\n")
     assert "not a GeoTIFF" in faulty(tmp_path / "text.tif")
-    assert "not a file" in faulty(tmp_path)
+    assert "a folder: expected files" in faulty(tmp_path)
     (tmp_path / "vrt.tif").write_text("<VRTDataset rasterXSize='1' rasterYSize='1'/>")
     assert "not a GeoTIFF" in faulty(tmp_path / "vrt.tif")
 

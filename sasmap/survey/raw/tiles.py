@@ -36,8 +36,13 @@ SIZES = tuple(m * 10.0**e for e in (-3, -2, -1, 0) for m in (1, 2, 2.5, 5))
 RECORDED_SD, FOUND_SD = 0.05, 0.3
 # The latter as a share of altitude. A side-looking beam hears the floor straight below weakly or
 # not at all: with a first echo from 25 degrees beside the vertical, altitude is 10 % too large. On
-# a recorded line (Iver2, 600 kHz) it was 10 % after correction for pitch.
+# a recorded line (Iver2, 600 kHz, nose down by 7 to 23 degrees) it was 10 % after correction for
+# pitch. There the echo itself comes so late, over 20 dB of water within two samples, whatever the
+# threshold; 3 % are the 1500 m/s of the file's ranges, too fast for cold water, and part may be
+# that the altimeter in the nose hangs lower.
 FOUND_SHARE = 0.1
+# First echo over the altitude as recorded beyond which one of them is wrong.
+CONTRADICTING = (0.85, 1.25)
 # Pitch, degrees, at which the fan meets the floor a quarter of the altitude before or behind.
 STEEP_PITCH = 14.0
 
@@ -155,6 +160,8 @@ def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bo
             f"{altitude.min():.1f} to {altitude.max():.1f} m, perhaps too large by a tenth; check "
             "it in the navigation"
         )
+    elif not recording.ground:
+        warnings += _contradicted(recording)
     every = Pings(recording.path, recording.number, np.asarray(x), np.asarray(y), altitude)
     fresh = np.concatenate([[True], np.hypot(np.diff(every.x), np.diff(every.y)) > 0])
     fixes = np.flatnonzero(fresh)
@@ -170,6 +177,21 @@ def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bo
     if not lines:
         raise InputError(f"{recording.path}: no two pings follow each other along a line")
     return lines, [*warnings, *gaps], found
+
+
+def _contradicted(recording: Recording) -> list[str]:
+    """Say where the water column contradicts the altitudes of a recording."""
+    seen = altitude_of(list(recording.samples.values()), recording.spacing)
+    seen = seen * np.cos(np.radians(recording.pitch))
+    known = recording.altitude > 0
+    ratio = float(np.median(seen[known] / recording.altitude[known]))
+    if CONTRADICTING[0] < ratio < CONTRADICTING[1]:
+        return []
+    return [
+        f"{recording.path}: its altitudes (about {np.median(recording.altitude[known]):.3g} m) are "
+        f"not where its water column ends (about {np.median(seen[known]):.3g} m): expected metres "
+        "above the sea floor; correct them in the navigation, or the ranges, before a run"
+    ]
 
 
 def _gridded(

@@ -110,6 +110,15 @@ def test_altitude_found_by_a_pitched_sonar_is_upright():
     assert any("pitches by 25 degrees" in line for line in warnings)
 
 
+def test_an_altitude_that_the_water_column_contradicts_is_named():
+    given = made()
+    assert raw_tiles._lines(given, NORTH)[1] == []
+    feet = dataclasses.replace(given, altitude=given.altitude / 0.3048)
+    told = " ".join(raw_tiles._lines(feet, NORTH)[1])
+    assert "16.4 m" in told
+    assert "water column" in told
+
+
 VARIANTS = {
     "8 bits": {"kind": "uint8", "scale": 0.14},
     "32 bits": {"kind": "uint32", "scale": 1000.0},

@@ -1,0 +1,157 @@
+"""Registration of passes by the crests that they see.
+
+Where the phases of all cells agree on one shift of a pass over the map, the pass lies wrong; crests
+that migrate do so each by its own distance. Crests tell a shift along their normal and up to whole
+wavelengths; cells of many directions and wavelengths together tell all of it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Standard deviation of registration before crests are looked at, m, how far is searched, over that,
+# and at what steps, over the shortest wavelength.
+USUAL, REACH, STEP = 0.5, 3.0, 0.1
+# Error of a phase that looks do not tell, cycles, and share of cells whose crests have migrated.
+PHASE_ERROR, MIGRATED = 0.02, 0.3
+# Gain in log likelihood over no shift, number and share of the cells that must agree, and standard
+# deviations within which they do.
+GAIN, LEAST_CELLS, LEAST_SHARE, AGREE = 8.0, 5, 0.5, 3.0
+# Cells that a shift is learned from at most; sweeps over the passes; points looked at together.
+MOST_CELLS, SWEEPS, CHUNK = 400, 3, 256
+
+
+class Moves(NamedTuple):
+    """How far crests of looks lie from those of the first look at their cell; arrays (M,).
+
+    Attributes
+    ----------
+    first, swath : ndarray of int
+        Passes of the two looks.
+    distance, sd : ndarray
+        m along the normal, up to whole wavelengths.
+    wavelength : ndarray
+        m.
+    normal : ndarray (M, 2)
+        East and north.
+    """
+
+    first: IntArray
+    swath: IntArray
+    distance: FloatArray
+    sd: FloatArray
+    wavelength: FloatArray
+    normal: FloatArray
+
+
+def left_over(moves: Moves, shifts: FloatArray) -> FloatArray:
+    """Distances less what passes are shifted, from minus half to half a wavelength.
+
+    Parameters
+    ----------
+    moves : Moves
+    shifts : ndarray (passes, 2)
+        East and north, m.
+
+    Returns
+    -------
+    ndarray (M,)
+    """
+    shift = ((shifts[moves.swath] - shifts[moves.first]) * moves.normal).sum(axis=1)
+    rest = moves.distance - shift
+    return np.asarray(rest - moves.wavelength * np.rint(rest / moves.wavelength))
+
+
+def registration(moves: Moves, passes: int) -> FloatArray:
+    """Estimate how far passes are shifted over the map, from crests that have not migrated.
+
+    Parameters
+    ----------
+    moves : Moves
+    passes : int
+
+    Returns
+    -------
+    ndarray (passes, 2)
+        East and north, m: where the pass shows what the first shows at 0. 0 for passes of which
+        cells do not agree on a shift.
+    """
+    shifts = np.zeros((passes, 2))
+    for _ in range(SWEEPS if passes > 2 else 1):
+        before = shifts.copy()
+        for k in range(1, passes):
+            shifts[k] = _shift_of(k, moves, shifts)
+        if np.allclose(before, shifts, atol=1e-4):
+            break
+    return shifts
+
+
+def _shift_of(k: int, moves: Moves, shifts: FloatArray) -> FloatArray:
+    """Shift of a pass, given the others'."""
+    seen = np.flatnonzero((moves.swath == k) != (moves.first == k))
+    if len(seen) < LEAST_CELLS:
+        return np.zeros(2)
+    seen = seen[np.unique(np.linspace(0, len(seen) - 1, MOST_CELLS).astype(int))]
+    mine = Moves(*(values[seen] for values in moves))
+    others = shifts.copy()
+    others[k] = 0.0
+    sign = np.where(mine.swath == k, 1.0, -1.0)
+    rest, normal = left_over(mine, others) * sign, mine.normal
+    sd = np.hypot(mine.sd, PHASE_ERROR * mine.wavelength)
+    step = STEP * mine.wavelength.min()
+    side = np.arange(-np.ceil(REACH * USUAL / step), np.ceil(REACH * USUAL / step) + 1) * step
+    grid = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    parts = np.split(grid, np.arange(CHUNK, len(grid), CHUNK))
+    # a blur of a step, so that no peak falls between the points of the grid
+    wide = np.hypot(sd, 0.5 * step)
+    levels = np.concatenate([_level(p, rest, normal, mine.wavelength, wide) for p in parts])
+    best = grid[int(np.argmax(levels))]
+    for _ in range(5):
+        best = _refined(best, rest, normal, mine.wavelength, sd)
+    apart = _wrapped(rest - normal @ best, mine.wavelength)
+    agree = int((np.abs(apart) < AGREE * sd).sum())
+    points = np.stack([best, np.zeros(2)])
+    there, here = _level(points, rest, normal, mine.wavelength, sd)
+    if there - here < GAIN or agree < max(LEAST_CELLS, LEAST_SHARE * len(rest)):
+        return np.zeros(2)
+    return np.asarray(best)
+
+
+def _wrapped(distance: FloatArray, wavelength: FloatArray) -> FloatArray:
+    return np.asarray(distance - wavelength * np.rint(distance / wavelength))
+
+
+def _level(
+    points: FloatArray,
+    rest: FloatArray,
+    normal: FloatArray,
+    wavelength: FloatArray,
+    sd: FloatArray,
+) -> FloatArray:
+    """Log posterior of shifts (n, 2); a cell whose crests have migrated may have any phase."""
+    apart = _wrapped(rest - points @ normal.T, wavelength)
+    peak = wavelength / (np.sqrt(2 * np.pi) * sd) * np.exp(-0.5 * (apart / sd) ** 2)
+    likelihood = np.log(MIGRATED + (1 - MIGRATED) * peak).sum(axis=1)
+    return np.asarray(likelihood - 0.5 * (points**2).sum(axis=1) / USUAL**2)
+
+
+def _refined(
+    point: FloatArray,
+    rest: FloatArray,
+    normal: FloatArray,
+    wavelength: FloatArray,
+    sd: FloatArray,
+) -> FloatArray:
+    """Shift by least squares over the cells that agree with one."""
+    apart = _wrapped(rest - normal @ point, wavelength)
+    peak = wavelength / (np.sqrt(2 * np.pi) * sd) * np.exp(-0.5 * (apart / sd) ** 2)
+    weight = (1 - MIGRATED) * peak / (MIGRATED + (1 - MIGRATED) * peak) / sd**2
+    precision = (normal * weight[:, None]).T @ normal + np.eye(2) / USUAL**2
+    push = (weight * (apart + normal @ point)) @ normal
+    return np.asarray(np.linalg.solve(precision, push))

@@ -1,0 +1,187 @@
+"""Texture of blocks: how amplitude varies at several scales, summed up once for all trials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
+
+from sasmap.numerics.threads import Workers, mapped
+from sasmap.sediments.bands import Bands, evened
+from sasmap.sediments.floor import Flat, Part, around, blocks_in
+from sasmap.sediments.texture import LAGS, MARGIN, SCALES, channels
+from sasmap.sediments.trends import BLOCK, MIN_KNOWN, Blocks, trend_of
+
+FloatArray = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+# Blocks a side over which texture is described: 48 pixels.
+AROUND = 3
+# Blocks a side that must be free of other groups around one whose texture is its own: texture is
+# described by 24 pixels to each side, of averages over 16.
+CLEAR = 5
+
+
+def gain_of(blocks: Sequence[Blocks], trends: FloatArray, bands: Bands | None) -> list[FloatArray]:
+    """Log gain of each look at each of its blocks.
+
+    Parameters
+    ----------
+    blocks : sequence of Blocks
+    trends : ndarray (looks, 3)
+    bands : Bands or None
+
+    Returns
+    -------
+    list of ndarray (block rows, block columns)
+    """
+    gains = [trend_of(t, b.place) for t, b in zip(trends, blocks, strict=True)]
+    if bands is None:
+        return gains
+    return [
+        gain + np.nan_to_num(bands.of_block(k, b))
+        for k, (gain, b) in enumerate(zip(gains, blocks, strict=True))
+    ]
+
+
+@dataclass(frozen=True)
+class BlockTexture:
+    """Sums of log amplitudes at several scales over blocks.
+
+    Attributes
+    ----------
+    sums : list of ndarray of float32 (block rows, block columns, 13)
+        Of each look. Of known pixels; of their log amplitude at each scale but the coarsest, and
+        its squares; of the squares of differences. 0 where nothing is described.
+    gains : list of ndarray (block rows, block columns)
+        Log gain that was taken off.
+    shown : ndarray of bool (block rows, block columns)
+        Blocks all of whose neighbours are described.
+    """
+
+    sums: list[NDArray[np.float32]]
+    gains: list[FloatArray]
+    shown: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        flat: Sequence[Flat],
+        gains: list[FloatArray],
+        shape: tuple[int, ...],
+        chosen: Sequence[Part],
+        workers: Workers,
+    ) -> BlockTexture:
+        """Describe tiles.
+
+        Parameters
+        ----------
+        flat : sequence of Flat
+        gains : list of ndarray (block rows, block columns)
+            Log gain that these have lost.
+        shape : tuple of int
+            Block rows and columns.
+        chosen : sequence of tuple of slice
+        workers : int, None or callable
+            Threads, or what spreads work.
+
+        Returns
+        -------
+        BlockTexture
+        """
+        sums = [_texture_sums(look, shape, chosen, workers) for look in flat]
+        return cls(sums, gains, _shown(chosen, shape))
+
+    def under(
+        self,
+        blocks: Sequence[Blocks],
+        trends: FloatArray,
+        bands: Bands | None,
+        dark: NDArray[np.bool_],
+    ) -> FloatArray:
+        """Texture of blocks and those around them under a gain.
+
+        Parameters
+        ----------
+        blocks : sequence of Blocks
+        trends : ndarray (looks, 3)
+        bands : Bands or None
+            Scatter and differences lose what follows these as well.
+        dark : ndarray of bool (block rows, block columns)
+            Blocks that are left out, and what they touch.
+
+        Returns
+        -------
+        ndarray (block rows, block columns, 9)
+            Mean log amplitude, log variances of it at each scale but the coarsest, and log mean
+            squares of differences; the mean over all looks. NaN where unknown.
+        """
+        split = len(SCALES) - 1
+        total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
+        looks = np.zeros(dark.shape)
+        near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
+        gains = gain_of(blocks, trends, bands)
+        for taken, before, after, block in zip(self.sums, self.gains, gains, blocks, strict=True):
+            sums = np.moveaxis(taken.astype(float), -1, 0) * ~dark
+            count, levels, squares = sums[0], sums[1 : 1 + split], sums[1 + split : 1 + 2 * split]
+            # a gain is even within a block
+            off = before - after
+            squares += off * (2 * levels + off * count)
+            levels += off * count
+            sums = np.stack([uniform_filter(v, AROUND, mode="constant") for v in sums])
+            count, means = sums[0], sums[1:] / np.maximum(sums[0], 1e-9)
+            enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
+            levels, squares, apart = means[:split], means[split : 2 * split], means[2 * split :]
+            parts = [
+                levels[:1],
+                np.log(np.maximum(squares - levels**2, 1e-6)),
+                np.log(np.maximum(apart, 0) + 1e-6),
+            ]
+            if bands is not None:
+                parts[1:] = [[evened(v, enough, block, bands) for v in p] for p in parts[1:]]
+            described = np.moveaxis(np.concatenate(parts), 0, -1)
+            total += np.where(enough[..., None], described, 0.0)
+            looks += enough
+        known = self.shown & (looks > 0)
+        return np.where(known[..., None], total / np.maximum(looks, 1)[..., None], np.nan)
+
+
+def _texture_sums(
+    look: Flat, shape: tuple[int, ...], chosen: Sequence[Part], workers: Workers
+) -> NDArray[np.float32]:
+    """Add up over blocks (block rows, block columns, 13), tile by tile; 0 in no tile.
+
+    Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
+    squares of differences.
+    """
+    split = len(SCALES) - 1
+    result = np.zeros((*shape, 1 + 2 * split + len(LAGS)), np.float32)
+
+    def add(part: Part) -> NDArray[np.float32]:
+        wide, inner = around(part, MARGIN, look.shape)
+        found = channels(look.logs(wide))[:, *inner]
+        known = np.isfinite(found[0]).astype(np.float32)
+        found = np.nan_to_num(found)
+        layers = [known, *found[:split], *(v**2 for v in (*found[:split], *found[split + 1 :]))]
+        return np.stack([_block_sums(v) for v in layers], axis=-1)
+
+    for part, sums in zip(chosen, mapped(add, chosen, workers), strict=True):
+        result[blocks_in(part)] = sums
+    return result
+
+
+def _block_sums(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    rows, columns = (n // BLOCK for n in values.shape)
+    parts = values[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    return np.asarray(parts.sum(axis=3).sum(axis=1))
+
+
+def _shown(chosen: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Blocks of some tiles, all neighbours of which are in tiles."""
+    mask = np.zeros(shape, bool)
+    for part in chosen:
+        mask[blocks_in(part)] = True
+    return np.asarray(binary_erosion(mask, np.ones((AROUND, AROUND)), border_value=1))

@@ -1,0 +1,167 @@
+"""Sediment classes from pixels at which they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.numerics.threads import Workers
+from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled
+from sasmap.sediments.classes import Classes, dark_blocks, dark_law, noise_factor
+from sasmap.sediments.fitting import Law, choose
+from sasmap.sediments.floor import TILE, Flat, Part, gather, marked_values, tiles
+from sasmap.sediments.texture import DECIDING, Texture, channels, learn, tells_more
+from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit, trend_of
+
+# Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
+# pixels that are marked alike where the block is.
+LEAST_SAMPLES, MARKED = 50, 0.9
+# Share of the scatter within marked classes that must be left without gain by range.
+AGREE = 0.8
+# Pixels, of all looks, from which textures are learned.
+SAMPLE = 6_000_000
+
+
+def train_classes(
+    looks: Sequence[AmplitudeGrid], marks: Any, count: int, workers: Workers = 1
+) -> Classes:
+    """Learn classes from pixels at which they are known.
+
+    Parameters
+    ----------
+    looks : sequence of AmplitudeGrid
+        On one lattice; slices are read.
+    marks : array of uint8 (rows, columns)
+        1 for the first class, 0 where none is known; slices are read.
+    count : int
+    workers : int, None or callable
+        Threads, or what spreads work.
+
+    Returns
+    -------
+    Classes
+        In the order of their numbers.
+
+    Raises
+    ------
+    ValueError
+        Where the looks show too few of a class's pixels; or no block at all.
+    """
+    blocks, centre = gather(looks, None, workers)
+    labels = _marked_blocks(marks, blocks[0].mean.shape, count)
+    index = np.nonzero(labels >= 0)
+    bands = _confirmed(blocks, labels)
+    if bands is not None:
+        blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
+    trends = first_trends(blocks)
+    if index[0].size:
+        _, groups = np.unique(labels[index], return_inverse=True)
+        trends = refit(blocks, groups, index, trends)
+    factor = noise_factor(looks, blocks)
+    pairs = zip(looks, trends, strict=True)
+    flat = [Flat(look, trend, centre, bands, k) for k, (look, trend) in enumerate(pairs)]
+    laws = []
+    for k, (values, known) in enumerate(marked_values(flat, marks, count), 1):
+        if known < LEAST_SAMPLES * factor:
+            raise ValueError(
+                f"class {k}: {known} known pixels are marked; expected at least "
+                f"{int(np.ceil(LEAST_SAMPLES * factor))}"
+            )
+        laws.append(choose(values, samples=values.size / factor).law)
+    none = dark_law(flat, dark_blocks(blocks, trends, laws), factor)
+    texture = _trained_texture(flat, marks, laws) if count > 1 else None
+    return Classes(tuple(laws), trends, centre, factor, none, texture, bands)
+
+
+def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
+    """Gain by range, if marked blocks of one class agree better without it.
+
+    Sediments that lie beyond each other along a whole line are no gain where training shows them.
+    """
+    bands = find_bands(blocks, first_trends(blocks))
+    if bands.span < SLIGHT:
+        return None
+    scatter = [
+        _scatter(some, labels)
+        for some in (blocks, [leveled(b, bands, k) for k, b in enumerate(blocks)])
+    ]
+    return bands if scatter[1] < AGREE * scatter[0] else None
+
+
+def _scatter(blocks: list[Blocks], labels: NDArray[np.int64]) -> float:
+    """Share of the scatter of marked blocks' level that is within classes, over all looks.
+
+    Where there is one class, its variance.
+    """
+    levels, groups = [], []
+    for k, (block, trend) in enumerate(zip(blocks, first_trends(blocks), strict=True)):
+        there = (labels >= 0) & (block.known > 0)
+        levels.append((block.mean - trend_of(trend, block.place))[there])
+        groups.append(labels[there] + k * (labels.max() + 1))
+    level, group = np.concatenate(levels), np.concatenate(groups)
+    if not level.size:
+        return 0.0
+    _, group = np.unique(group, return_inverse=True)
+    counts = np.bincount(group)
+    rest = level - (np.bincount(group, level) / counts)[group]
+    total = float(np.var(level)) if (labels.max() > 0) else 1.0
+    return float(np.mean(rest**2)) / max(total, 1e-12)
+
+
+def _trained_texture(flat: Sequence[Flat], marks: Any, laws: Sequence[Law]) -> Texture | None:
+    """Laws at several scales, if they tell the marked pixels apart better than amplitude does."""
+    middle = np.log(max(law.mean_square for law in laws)) / 2
+    grid = np.linspace(middle - 12, middle + 4, 800)
+    table = [law.log_density(np.exp(grid)) for law in laws]
+    parts, amplitude = [], []
+    for box in _marked_boxes(marks, flat[0].shape, SAMPLE // len(flat)):
+        here = np.asarray(marks[box])
+        for look in flat:
+            logs = look.logs(box)
+            if (np.isfinite(logs) & (here > 0)).any():
+                parts.append((channels(logs), here.astype(np.int64)))
+                amplitude.append(np.stack([np.interp(logs, grid, t) for t in table]))
+    most = -(-DECIDING * len(flat) // max(len(parts), 1))
+    if not tells_more(parts, amplitude, len(laws), most):
+        return None
+    return learn(parts, len(laws), most)
+
+
+def _marked_boxes(marks: Any, shape: tuple[int, ...], most: int) -> list[Part]:
+    """Boxes of marks in tiles, at random so many pixels of them and some of each class."""
+    found, total, seen = [], 0, np.zeros(256, bool)
+    every = tiles(shape)
+    for i in np.random.default_rng(0).permutation(len(every)):
+        part = every[i]
+        here = np.asarray(marks[part])
+        there = np.bincount(here.ravel(), minlength=256)[:256] > 0
+        there[0] = False
+        if not there.any() or (total > most and not (there & ~seen).any()):
+            continue
+        # no more of a tile than its marks
+        ends = [np.flatnonzero(here.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+        rows, columns = (
+            slice(s.start + int(e[0]), s.start + int(e[1]) + 1)
+            for s, e in zip(part, ends, strict=True)
+        )
+        found.append((rows, columns))
+        total += (rows.stop - rows.start) * (columns.stop - columns.start)
+        seen |= there
+    return found
+
+
+def _marked_blocks(marks: Any, lattice: tuple[int, ...], count: int) -> NDArray[np.int64]:
+    """Class (from 0) of each block that is marked alike, -1 of others."""
+    result = np.full(lattice, -1)
+    step = TILE // BLOCK
+    for top in range(0, lattice[0], step):
+        rows = slice(top, min(top + step, lattice[0]))
+        here = np.asarray(marks[slice(rows.start * BLOCK, rows.stop * BLOCK)])
+        here = here[:, : lattice[1] * BLOCK]
+        parts = here.reshape(-1, BLOCK, lattice[1], BLOCK)
+        share = np.stack([(parts == k).mean(axis=(1, 3)) for k in range(1, count + 1)])
+        result[rows] = np.where(share.max(axis=0) >= MARKED, np.argmax(share, axis=0), -1)
+    return result

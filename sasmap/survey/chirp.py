@@ -1,0 +1,220 @@
+"""Whether ripples look regular along the range that the tiles are told to have, or along the other.
+
+Straight ripples are as long near the track as far from it in ground range; in slant range they look
+shorter near the track, by the cosine of the grazing angle. Where the phase of the waves on the
+tiles bends over range as much as that, and no other way, the tiles' range was told wrongly.
+
+In 150 simulated windows (12.5 m from 5 to 12 m on, altitude 5 m) no range that was told rightly was
+doubted; of those told wrongly 7 of 10 were with straight crests, 2 of 10 with bent ones.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from sasmap.survey.lattice import FloatArray, Window, transform_points
+from sasmap.survey.passes import SonarPass
+from sasmap.survey.tiles import Tile, read_tile
+from sasmap.survey.water import LARGEST
+
+# Pixels a side of the windows that are looked at (those of a usual cell), windows at most, pixels
+# averaged before, and the least valid share of a window.
+SIDE, MOST_WINDOWS, MEAN, VALID = 500, 12, 2, 0.8
+# Wavelengths that are looked for, of averaged pixels and as a share of a window, and how far a peak
+# of the spectrum stands over its median.
+SHORTEST, LONGEST, PEAK = 4.0, 0.25, 40.0
+# Width of the phase's smoothing, wavelengths, and places a side at which the phase is taken.
+SMOOTHING, PLACES = 0.7, 48
+# Altitudes within which slant and ground range differ enough; least bend of the phase that they
+# make, rad rms, and the share of the wave vector that must point along the look.
+NEAR, LEAST_BEND, ALONG = 6.0, 0.08, 0.7
+# How much of the bend that the other range would make is found (1: all, 0: none), by its least and
+# largest value. Brightness leads the crests by less the farther away they are, which on the
+# simulated sample makes it -0.5 and 1.5 where it should be 0 and 1.
+FOUND = (0.7, 2.0)
+# Its standard error, where windows are enough to tell one; of fewer each must leave no more than
+# this share of the phase's variance along the other range.
+ERROR, ENOUGH, STRAIGHT = 0.15, 5, 0.35
+
+
+class Bend(NamedTuple):
+    """Phase of the waves in a window.
+
+    Attributes
+    ----------
+    found : float
+        Share of the bend that the other range would make.
+    expected : float
+        Variance of that bend, rad^2.
+    straighter : float
+        Variance of the phase along the other range, over that along the one told.
+    """
+
+    found: float
+    expected: float
+    straighter: float
+
+
+def check_ripples(sonar_pass: SonarPass, crs: str) -> list[str]:
+    """Compare ripples with what either range would make of them.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    crs : str
+        The survey's.
+
+    Returns
+    -------
+    list of str
+        A warning, or none: where there are no ripples near the track, nothing is known.
+    """
+    bends = [b for b in (_bend(sonar_pass, *w, crs) for w in _windows(sonar_pass, crs)) if b]
+    if not bends:
+        return []
+    found, weight, straighter = np.array(bends).T
+    mean = float(np.average(found, weights=weight))
+    if len(bends) >= ENOUGH:
+        error = float(np.sqrt((weight**2 * (found - mean) ** 2).sum()) / weight.sum())
+        sure = error < ERROR
+    else:
+        sure = bool((straighter < STRAIGHT).all())
+    if not sure or not FOUND[0] < mean < FOUND[1]:
+        return []
+    told, other = ("slant", "ground") if sonar_pass.slant else ("ground", "slant")
+    return [
+        f"{sonar_pass.tiles[0].path}: range: {told} is told, but ripples change their length over "
+        f"range just as {other} range would make them: expected range: {other}, or an altitude "
+        "that is right; frequency and A_H are wrong"
+    ]
+
+
+def _windows(sonar_pass: SonarPass, crs: str) -> list[tuple[Tile, Window]]:
+    """Windows of the tiles near the track, spread evenly."""
+    found = []
+    for tile in sonar_pass.tiles:
+        for row in range(0, max(tile.window.height - SIDE // 2, 1), SIDE):
+            for column in range(0, max(tile.window.width - SIDE // 2, 1), SIDE):
+                window = Window(row, column, SIDE, SIDE).intersect(tile.window)
+                middle = Window(row + window.height // 2, column + window.width // 2, 1, 1)
+                ratio = _ratio(sonar_pass, tile, crs, middle)
+                if 1 < ratio[0, 0] < NEAR:
+                    found.append((tile, window))
+    return found[:: len(found) // MOST_WINDOWS + 1]
+
+
+def _ratio(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> FloatArray:
+    """Distance from the track over altitude of a window's pixels; NaN where not seen."""
+    distance, altitude = _geometry(sonar_pass, tile, crs, *tile.lattice.centres(window))
+    return np.asarray(distance / altitude)
+
+
+def _geometry(
+    sonar_pass: SonarPass, tile: Tile, crs: str, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    seen = sonar_pass.track.locate(*transform_points(tile.lattice.crs, crs, x, y))
+    distance = seen.distance
+    if len(sonar_pass.sides) == 1:
+        distance[seen.starboard != (sonar_pass.sides[0] == "starboard")] = np.nan
+    return distance, seen.altitude
+
+
+def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend | None:
+    """How the phase of a window's waves bends over range; None without waves along the look."""
+    waves = _waves(tile, window)
+    if waves is None:
+        return None
+    field, rows, columns, vector = waves
+    t = tile.lattice.transform
+    row, column = window.row + rows[:, None], window.column + columns
+    x, y = t.c + t.a * column + t.b * row, t.f + t.d * column + t.e * row
+    distance, altitude = _geometry(sonar_pass, tile, crs, x, y)
+    slant = np.sqrt(np.where(distance > altitude, distance**2 - altitude**2, np.nan))
+    if not np.isfinite(slant).all():
+        return None
+    ranges = (slant, distance) if sonar_pass.slant else (distance, slant)
+    steps = rows[1] - rows[0], columns[1] - columns[0]
+    slope = np.array([np.gradient(distance, s, axis=k).mean() for k, s in enumerate(steps)])
+    if not slope.any():
+        return None
+    along = float(vector @ slope / (slope @ slope))  # cycles a metre of distance
+    if abs(along) < ALONG * np.hypot(*vector) / np.hypot(*slope):
+        return None
+    phases = [2 * np.pi * along * _bent(one, distance, (rows, columns)) for one in ranges]
+    expected = float(np.var(phases[1] - phases[0]))
+    if expected < LEAST_BEND**2:
+        return None
+    left = [-2 * np.log(_coherence(field * np.exp(-1j * phase))) for phase in phases]
+    return Bend(0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / max(left[0], 1e-9))
+
+
+def _bent(
+    ranges: FloatArray, distance: FloatArray, places: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Range scaled to the distance's mean rate, without its plane over rows and columns, m."""
+    rate = np.polyfit(distance.ravel(), ranges.ravel(), 1)[0]
+    row, column = np.meshgrid(*places, indexing="ij")
+    plane = np.column_stack([row.ravel(), column.ravel(), np.ones(row.size)])
+    scaled = (ranges / rate).ravel()
+    return np.asarray(scaled - plane @ np.linalg.lstsq(plane, scaled, rcond=None)[0]).reshape(
+        ranges.shape
+    )
+
+
+def _coherence(field: NDArray[np.complex128]) -> float:
+    """Share of a field that a plane wave explains, the best of all."""
+    shape = tuple(4 * n for n in field.shape)
+    return float(np.abs(scipy.fft.fft2(field, shape)).max() / np.abs(field).sum())
+
+
+def _waves(
+    tile: Tile, window: Window
+) -> tuple[NDArray[np.complex128], FloatArray, FloatArray, FloatArray] | None:
+    """Demodulate the waves of a window; None without any.
+
+    Returns
+    -------
+    field : ndarray of complex (rows, columns)
+        Amplitude and phase of the waves at some places, over a plane wave.
+    rows, columns : ndarray
+        Of the places, pixels from the window's corner.
+    vector : ndarray (2,)
+        Of the plane wave, cycles a row and a column.
+    """
+    try:
+        values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)
+    except OSError:
+        return None
+    height, width = (n // MEAN for n in values.shape)
+    cut = values[: height * MEAN, : width * MEAN].reshape(height, MEAN, width, MEAN)
+    valid = np.isfinite(cut)
+    if valid.mean() < VALID or min(height, width) < 2 * PLACES:
+        return None
+    image = np.where(valid, cut, 0.0).sum(axis=(1, 3)) / np.maximum(valid.sum(axis=(1, 3)), 1)
+    smooth = scipy.ndimage.gaussian_filter(image, LONGEST * min(height, width))
+    image = np.where(valid.any(axis=(1, 3)), image / np.maximum(smooth, 1e-12) - 1.0, 0.0)
+    taper = np.hanning(height)[:, None] * np.hanning(width)
+    power = np.abs(scipy.fft.fft2(image * taper)) ** 2
+    power = scipy.ndimage.uniform_filter(power, 3, mode="wrap")
+    down, right = np.meshgrid(scipy.fft.fftfreq(height), scipy.fft.fftfreq(width), indexing="ij")
+    number = np.hypot(down, right)
+    inside = (number < 1 / SHORTEST) & (number > 1 / (LONGEST * min(height, width)))
+    power = np.where(inside, power, 0.0)
+    at = np.unravel_index(int(power.argmax()), power.shape)
+    if power[at] < PEAK * np.median(power[inside]):
+        return None
+    vector = np.array([down[at], right[at]])
+    turn = np.exp(
+        -2j * np.pi * (vector[0] * np.arange(height)[:, None] + vector[1] * np.arange(width))
+    )
+    field = scipy.ndimage.gaussian_filter(
+        image * turn, SMOOTHING / np.hypot(*vector), mode="nearest"
+    )
+    rows, columns = (np.linspace(0, n - 1, PLACES).astype(int) for n in (height, width))
+    places = [MEAN * (v + 0.5) for v in (rows, columns)]
+    return field[np.ix_(rows, columns)], places[0], places[1], vector / MEAN

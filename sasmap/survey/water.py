@@ -1,0 +1,246 @@
+"""What the water column on the tiles says of the altitude and of the tiles' range.
+
+A pixel nearer than the altitude shows water in slant range, and the floor in ground range. The
+first echo stands at a slant range of one altitude, whatever the altitude's unit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.survey.contents import sample_windows
+from sasmap.survey.lattice import FloatArray, Window, transform_points
+from sasmap.survey.passes import SonarPass
+from sasmap.survey.tiles import Tile, read_tile
+
+# Distance from the track in altitudes: bins of the profile. The transmitted pulse stands below the
+# first, and beyond the last there is nothing to learn.
+FIRST, LAST, STEP = 0.14, 2.6, 0.02
+# Points along a tile's longer side, and a window's sides, that tell whether pixels lie so near;
+# windows that are read at most, and pixels that a bin needs.
+POINTS, CORNERS, MOST_WINDOWS, LEAST_PIXELS = 64, 3, 48, 60
+# Decibels that the floor stands over the water: side-scan and SAS have 15 and more; a beam that
+# looks aside and hears the floor straight below weakly rises by as much over half an altitude, not
+# within this share of the range. Ripples seen from so near have 6 dB.
+RISE_DB, SHARP = 10.0, 0.08
+# Bins before and after a step that must show it; altitudes before it that must be dark (shadows are
+# narrower so near), or all where a tile begins below the sonar; and how far after it its level is
+# taken, as a share of its range.
+FEWEST_BINS, DARK, AFTER = 4, 0.3, 0.35
+# Level of water, below the floor's, that is no water (dB), and the part of the column, in
+# altitudes, in which it is taken.
+BRIGHT_DB, COLUMN, FLOOR = 6.0, (0.3, 0.9), (1.1, 1.8)
+# First echo over the altitude as told: what bottom detection and a beam that looks aside leave
+# (measured: 10 % too far), and where it makes ground range doubtful.
+EARLY, LATE, COLUMN_ENDS = 0.87, 1.2, 0.9
+# Units of altitude people have, in metres.
+UNITS = {"feet": 0.3048, "fathoms": 1.8288}
+# How near the ratio must be to a unit's to name it.
+LIKE = 0.08
+# How closely (share of altitude) the edge of what is seen stands at one altitude where the water
+# column was cut out; altitude must vary by VARIES, or the edge lie within the tiles, or they begin
+# there by chance.
+FOLLOWS, VARIES = 0.015, 0.06
+# Groups of pixels by altitude, and the share of their pixels that lie nearer than the edge.
+GROUPS, EDGE = 8, 0.002
+# Intensity of nothing at all, over the largest; it keeps logarithms finite.
+SILENCE, TINY = 1e-12, np.finfo(float).tiny
+# Amplitude whose square is still finite.
+LARGEST = 1e150
+
+
+class Profile(NamedTuple):
+    """Pixels near the track, by their distance in altitudes.
+
+    Attributes
+    ----------
+    place : ndarray (bins,)
+        Middle of each bin, altitudes.
+    level : ndarray (bins,)
+        Mean intensity, dB; NaN where too few pixels are valid.
+    edges : ndarray (groups,)
+        Nearest valid pixel, altitudes, of groups of pixels from the least altitude to the largest.
+    follows : bool
+        Whether what is seen has an edge that follows altitude, or one made within the tiles.
+    """
+
+    place: FloatArray
+    level: FloatArray
+    edges: FloatArray
+    follows: bool
+
+
+def check_column(sonar_pass: SonarPass, crs: str) -> list[str]:
+    """Compare where the tiles' first echoes stand with the altitude and with what range is told.
+
+    Parameters
+    ----------
+    sonar_pass : SonarPass
+    crs : str
+        The survey's.
+
+    Returns
+    -------
+    list of str
+        A warning, or none: where the tiles do not reach near enough, nothing is known.
+    """
+    profile = _profile(sonar_pass, crs)
+    if profile is None:
+        return []
+    middle = float(np.median(sonar_pass.track.altitude))
+    step = _step(profile)
+    told = (_of_slant if sonar_pass.slant else _of_ground)(profile, step, middle)
+    return [f"{sonar_pass.navigation}: altitude: about {middle:.3g} m, but {told}"] if told else []
+
+
+def _of_slant(profile: Profile, step: float | None, middle: float) -> str:
+    """Say what contradicts slant range and an altitude."""
+    if step is not None and not EARLY < step < LATE:
+        return (
+            f"on the tiles, which are told to be in slant range, the first echo stands at "
+            f"{step * middle:.3g} m: {_remedy(step)}"
+        )
+    water, floor = (_level(profile, *part) for part in (COLUMN, FLOOR))
+    if water > floor - BRIGHT_DB:
+        return (
+            "pixels nearer than that show as much as the floor beyond, where slant range has "
+            "water: expected range: ground, or a smaller altitude"
+        )
+    return ""
+
+
+def _of_ground(profile: Profile, step: float | None, middle: float) -> str:
+    """Say what contradicts ground range."""
+    if step is not None and step > COLUMN_ENDS:
+        return (
+            f"the tiles are dark up to {step * middle:.3g} m from the track, as a water column is "
+            "in slant range: expected range: slant, or tiles whose floor begins below the sonar"
+            + ("" if step < LATE else f"; {_remedy(step)}")
+        )
+    if profile.follows and np.abs(profile.edges - 1).max() < FOLLOWS:
+        return (
+            "the tiles begin just that far from the track, as where the water column was cut out "
+            "of slant range: expected range: slant, unless they were cut so in ground range"
+        )
+    return ""
+
+
+def _remedy(step: float) -> str:
+    """Say what unit an altitude may have that is off by a factor."""
+    for unit, metres in UNITS.items():
+        if abs(step / metres - 1) < LIKE:
+            return f"expected altitude in metres: it looks like {unit}; convert it"
+    return "expected the sonar's height above the sea floor, in metres"
+
+
+def _level(profile: Profile, first: float, last: float) -> float:
+    part = profile.level[(profile.place > first) & (profile.place < last)]
+    part = part[np.isfinite(part)]
+    return float(np.median(part)) if part.size >= FEWEST_BINS else np.nan
+
+
+def _step(profile: Profile) -> float | None:
+    """Distance, in altitudes, at which intensity steps up from water to floor."""
+    known = np.isfinite(profile.level)
+    place, level = profile.place[known], profile.level[known]
+    best, found = RISE_DB, None
+    for k in range(FEWEST_BINS, place.size - FEWEST_BINS):
+        dark = place < place[k] * (1 - SHARP / 2)
+        lit = (place > place[k] * (1 + SHARP / 2)) & (place < place[k] * (1 + AFTER))
+        narrow = place[k] - place[0] < DARK and place[0] > 2 * FIRST
+        if narrow or min(dark.sum(), lit.sum()) < FEWEST_BINS:
+            continue
+        # all of the column is dark, and all of the floor is not
+        low, high = float(np.quantile(level[dark], 0.9)), float(np.quantile(level[lit], 0.1))
+        if high - low > best:
+            risen = (place > place[k] * (1 - SHARP)) & (level > (low + high) / 2)
+            best, found = high - low, float(place[risen][0])
+    return found
+
+
+def _profile(sonar_pass: SonarPass, crs: str) -> Profile | None:
+    """Collect the pixels near the track; None where there are too few."""
+    parts = []
+    for tile, window in _windows(sonar_pass, crs):
+        try:
+            parts.append(_pixels(sonar_pass, tile, crs, window))
+        except OSError:
+            continue  # an undecodable block fails its cells, not the survey
+    ratio, altitude, intensity = np.concatenate(parts, axis=1) if parts else np.empty((3, 0))
+    seen = np.isfinite(intensity)
+    blank = (~seen & (ratio < 1 - FOLLOWS)).sum()
+    ratio, altitude, intensity = ratio[seen], altitude[seen], intensity[seen]
+    if ratio.size < LEAST_PIXELS * GROUPS:
+        return None
+    bins = np.arange(FIRST, LAST + STEP / 2, STEP)
+    count, _ = np.histogram(ratio, bins)
+    total, _ = np.histogram(ratio, bins, weights=intensity)
+    mean = np.where(count >= LEAST_PIXELS, total / np.maximum(count, 1), np.nan)
+    level = 10 * np.log10(np.maximum(mean, SILENCE * np.nanmax(mean, initial=0.0)) + TINY)
+    low, high = float(altitude.min()), float(altitude.max())
+    group = (GROUPS * (altitude - low) / max(1.001 * (high - low), TINY)).astype(np.int64)
+    groups = [ratio[group == k] for k in range(GROUPS)]
+    edges = np.array([np.quantile(g, EDGE) for g in groups if g.size >= LEAST_PIXELS])
+    follows = blank >= LEAST_PIXELS or high / low - 1 > VARIES
+    return Profile(bins[:-1] + STEP / 2, level, edges, bool(follows))
+
+
+def _windows(sonar_pass: SonarPass, crs: str) -> list[tuple[Tile, Window]]:
+    """Windows of the tiles that hold pixels near the track, spread evenly."""
+    found = []
+    for tile in sonar_pass.tiles:
+        box = _box(sonar_pass, tile, crs)
+        for part in sample_windows(box):
+            window = Window(part.row + box.row, part.column + box.column, part.height, part.width)
+            rows = window.row + np.linspace(0.5, window.height - 0.5, CORNERS)
+            columns = window.column + np.linspace(0.5, window.width - 0.5, CORNERS)
+            if _is_near(sonar_pass, tile, crs, rows, columns).any():
+                found.append((tile, window))
+    return found[:: len(found) // MOST_WINDOWS + 1]
+
+
+def _box(sonar_pass: SonarPass, tile: Tile, crs: str) -> Window:
+    """Box of a tile's pixels that lie near the track; empty where there are none."""
+    step = max(max(tile.window.height, tile.window.width) / POINTS, 1.0)
+    row = np.arange(0, tile.window.height + step, step).clip(max=tile.window.height - 0.5)
+    column = np.arange(0, tile.window.width + step, step).clip(max=tile.window.width - 0.5)
+    near = _is_near(sonar_pass, tile, crs, row, column)
+    if not near.any():
+        return Window(0, 0, 0, 0)
+    rows, columns = row[near.any(axis=1)], column[near.any(axis=0)]
+    top, left = int(max(rows[0] - step, 0)), int(max(columns[0] - step, 0))
+    height, width = int(rows[-1] + step) - top + 1, int(columns[-1] + step) - left + 1
+    return Window(top, left, height, width).intersect(tile.window)
+
+
+def _is_near(
+    sonar_pass: SonarPass, tile: Tile, crs: str, rows: FloatArray, columns: FloatArray
+) -> NDArray[np.bool_]:
+    """Whether points at some rows and columns of a tile lie near the track."""
+    t = tile.lattice.transform
+    x = t.c + t.a * columns + t.b * rows[:, None]
+    y = t.f + t.d * columns + t.e * rows[:, None]
+    return np.asarray(_seen(sonar_pass, *transform_points(tile.lattice.crs, crs, x, y))[0] < LAST)
+
+
+def _seen(sonar_pass: SonarPass, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance of points from the track, in altitudes, and altitude, m; NaN where not seen."""
+    seen = sonar_pass.track.locate(x, y)
+    ratio = seen.distance / seen.altitude
+    if len(sonar_pass.sides) == 1:
+        ratio[seen.starboard != (sonar_pass.sides[0] == "starboard")] = np.nan
+    return ratio, seen.altitude
+
+
+def _pixels(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> FloatArray:
+    """Distance in altitudes, altitude and intensity (NaN: none) of a window's near pixels."""
+    values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)
+    x, y = np.broadcast_arrays(
+        *transform_points(tile.lattice.crs, crs, *tile.lattice.centres(window))
+    )
+    ratio, altitude = _seen(sonar_pass, x, y)
+    kept = ratio < LAST
+    return np.stack([ratio[kept], altitude[kept], values[kept] ** 2])
