@@ -369,11 +369,11 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("docs/studies"))
     options = parser.parse_args()
     clips = 1 if options.quick else options.clips
-    estimate(case_of("far", False, 0).clip, rng=0)  # compiles
-    estimate(case_of("far", True, 0).clip, rng=0)
+    estimate(case_of("middle", False, 0).clip, rng=0)  # compiles
+    estimate(case_of("middle", True, 0).clip, rng=0)
     rows = []
     for bent in (False, True):
-        for where in ("far",) if options.quick else RANGES:
+        for where in ("middle",) if options.quick else RANGES:
             for name in METHODS:
                 if (options.quick and name in SLOW) or (bent and name in SLOW[1:]):
                     continue
