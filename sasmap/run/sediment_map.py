@@ -21,7 +21,7 @@ from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
 from sasmap.sediments.carrying import carry_over
 from sasmap.sediments.classes import Classes
-from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
+from sasmap.sediments.classmap import below_best, class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import find_classes
@@ -410,6 +410,5 @@ def _thinned(parts: list[Part], most: int) -> list[Part]:
 
 
 def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
-    level = np.nan_to_num(likelihood)
-    below = np.maximum(level - level.max(axis=0), -DEEPEST)
-    return np.asarray(np.rint(below / STEP), np.int8)
+    below = np.maximum(below_best(likelihood), np.float32(-DEEPEST))
+    return np.asarray(np.rint(below * np.float32(1 / STEP)), np.int8)

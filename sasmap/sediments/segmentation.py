@@ -165,11 +165,10 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     needed = alike or (mixed and not same and len(others) >= max(len(laws), 2))
     if needed:
         labels, laws = textured, others
-    if count is None:
+    elif count is None:  # levels of textures scatter too much to tell an edge
         level, weight = levels(blocks, trends)
         seen = np.where(weight > 0, labels, -1)
-        seen, laws = united(flat, seen, laws, level, factor)
-        labels, needed = seen, needed and len(laws) > 1
+        labels, laws = united(flat, seen, laws, level, factor)
     return _Found(labels, laws, needed, trends, bands, none)
 
 

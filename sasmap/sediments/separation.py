@@ -15,8 +15,9 @@ FloatArray = NDArray[np.float64]
 # Nats a pixel below which two textures have one histogram.
 ALIKE = 0.005
 # Blocks (96 pixels) across which an edge lifts the level by nearly as much as classes differ, pairs
-# of blocks that tell it, and log amplitude (0.9 dB) by which levels must differ for it to be told.
-LAG, ENOUGH, TOLD = 6, 20, 0.1
+# of blocks that tell it, and log amplitude (0.9 and 3.5 dB) by which levels must differ to tell it,
+# and beyond which they are two sediments even if one changes into the other slowly.
+LAG, ENOUGH, TOLD, APART = 6, 20, 0.1, 0.4
 # Share of the classes' difference below which there is no edge: simulated edges have 0.93 and more,
 # wavy ones of recorded snippets 0.89, drifts 0.2 to 0.7.
 SHARP = 0.75
@@ -79,7 +80,7 @@ def united(
 ) -> tuple[NDArray[np.int64], list[Law]]:
     """Unite classes that differ in level but change into each other without an edge.
 
-    A floor whose level drifts along the line is one sediment; a boundary is where it jumps.
+    A floor whose level drifts a little is one sediment; a boundary is where it jumps.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def _sharpness(labels: NDArray[np.int64], level: FloatArray, i: int, j: int) -> 
     1 where it cannot be told.
     """
     whole = float(np.median(level[labels == i]) - np.median(level[labels == j]))
-    if abs(whole) < TOLD:
+    if not TOLD < abs(whole) < APART:
         return 1.0
     jumps = []
     for axis in (0, 1):
