@@ -32,7 +32,7 @@ from sasmap.sediments.training import train_classes
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
 STEP, DEEPEST = 0.1, 12.7
-# What objects are called, and the share of what is found as one that is one (on simulated scenes).
+# What objects are called, and the confidence that is shown for them: a guess, not calibrated.
 OBJECT, CERTAIN = "object", 0.9
 # Steps of the probability that is kept.
 PROBABILITY = 0.002
