@@ -21,7 +21,7 @@ from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
 from sasmap.sediments.carrying import carry_over
 from sasmap.sediments.classes import Classes
-from sasmap.sediments.classmap import class_map, log_likelihoods, sieved
+from sasmap.sediments.classmap import below_best, class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import find_classes
@@ -32,7 +32,7 @@ from sasmap.sediments.training import train_classes
 SIDE, HALO = 1024, 32
 # Steps of a quantised log likelihood, nats, and the most below the best class.
 STEP, DEEPEST = 0.1, 12.7
-# What objects are called, and the share of what is found as one that is one (on simulated scenes).
+# What objects are called, and the confidence that is shown for them: a guess, not calibrated.
 OBJECT, CERTAIN = "object", 0.9
 # Steps of the probability that is kept.
 PROBABILITY = 0.002
@@ -410,6 +410,5 @@ def _thinned(parts: list[Part], most: int) -> list[Part]:
 
 
 def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
-    level = np.nan_to_num(likelihood)
-    below = np.maximum(level - level.max(axis=0), -DEEPEST)
-    return np.asarray(np.rint(below / STEP), np.int8)
+    below = np.maximum(below_best(likelihood), np.float32(-DEEPEST))
+    return np.asarray(np.rint(below * np.float32(1 / STEP)), np.int8)

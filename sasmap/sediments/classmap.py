@@ -97,6 +97,15 @@ def _with_texture(
     return result
 
 
+def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Take the best class off log likelihoods (classes, rows, columns); 0 where unknown."""
+    level: NDArray[np.float32] = likelihood - likelihood.max(axis=0)
+    unknown = np.isnan(level[0])
+    if unknown.any():
+        level[:, unknown] = 0.0
+    return level
+
+
 class ClassMap(NamedTuple):
     """A sediment map.
 
@@ -131,7 +140,7 @@ def class_map(
     ClassMap
     """
     seen = np.isfinite(likelihood[0])
-    level = np.nan_to_num(likelihood - np.nan_to_num(likelihood).max(axis=0))
+    level = below_best(likelihood)
     if len(level) == 1:
         one = np.where(seen, 1.0, np.nan).astype(np.float32)
         return ClassMap(seen.astype(np.uint8), one)

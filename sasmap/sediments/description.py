@@ -163,8 +163,10 @@ def _texture_sums(
     def add(part: Part) -> NDArray[np.float32]:
         wide, inner = around(part, MARGIN, look.shape)
         found = channels(look.logs(wide))[:, *inner]
-        known = np.isfinite(found[0]).astype(np.float32)
-        found = np.nan_to_num(found)
+        there = np.isfinite(found[0])
+        known = there.astype(np.float32)
+        if not there.all():
+            found[:, ~there] = 0.0
         layers = [known, *found[:split], *(v**2 for v in (*found[:split], *found[split + 1 :]))]
         return np.stack([_block_sums(v) for v in layers], axis=-1)
 

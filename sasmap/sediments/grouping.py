@@ -18,8 +18,9 @@ MOST_CLASSES = 8
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
 # Blocks a side at the core of a textured group: texture is described over 48 pixels, of averages
-# and differences that reach farther, so that the rim between two beds is up to six blocks wide.
-CORE_WIDTH = 7
+# and differences that reach farther, so that the rim between two beds is some four blocks wide. Of
+# scenes of many small beds, 7 loses some.
+CORE_WIDTH = 5
 # Scatter that textures of one bed have beyond their sampling (log variances, mean amplitude).
 SCATTER = 0.05
 # Bhattacharyya distance (of Gaussians, nats) by which the textures of two beds must differ: 4

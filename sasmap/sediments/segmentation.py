@@ -23,7 +23,15 @@ from sasmap.sediments.description import BlockTexture, gain_of
 from sasmap.sediments.fitting import Law
 from sasmap.sediments.floor import Flat, Part, around, chosen_tiles, gather, tiles
 from sasmap.sediments.grouping import grouped, pruned, textured_groups
-from sasmap.sediments.separation import laws_of, merged, too_alike, united, within
+from sasmap.sediments.separation import (
+    TOLD,
+    TOLD_TEXTURED,
+    laws_of,
+    merged,
+    too_alike,
+    united,
+    within,
+)
 from sasmap.sediments.texture import DECIDING, MARGIN, Texture, channels, learn
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit
 
@@ -127,7 +135,20 @@ def find_classes(
             found = fewer if len(fewer.laws) <= most else found
         if count is not None and len(found.laws) != count:
             found = _found(survey, count, found.bands)
-    return _finished(survey, found)
+    return _finished(survey, found if count is not None else _without_drift(survey, found))
+
+
+def _without_drift(survey: _Survey, found: _Found) -> _Found:
+    """Unite classes that drift alone parts."""
+    blocks = survey.blocks
+    if found.bands is not None:
+        blocks = [leveled(b, found.bands, k) for k, b in enumerate(blocks)]
+    level, weight = levels(blocks, found.trends)
+    seen = np.where(weight > 0, found.labels, -1)
+    flat = survey.flat(found.trends, found.bands)
+    told = TOLD_TEXTURED if found.textured else TOLD
+    labels, laws = united(flat, seen, found.laws, level, survey.factor, told)
+    return found._replace(labels=labels, laws=laws, textured=found.textured and len(laws) > 1)
 
 
 def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
@@ -165,11 +186,6 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     needed = alike or (mixed and not same and len(others) >= max(len(laws), 2))
     if needed:
         labels, laws = textured, others
-    if count is None:
-        level, weight = levels(blocks, trends)
-        seen = np.where(weight > 0, labels, -1)
-        seen, laws = united(flat, seen, laws, level, factor)
-        labels, needed = seen, needed and len(laws) > 1
     return _Found(labels, laws, needed, trends, bands, none)
 
 

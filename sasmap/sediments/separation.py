@@ -15,8 +15,11 @@ FloatArray = NDArray[np.float64]
 # Nats a pixel below which two textures have one histogram.
 ALIKE = 0.005
 # Blocks (96 pixels) across which an edge lifts the level by nearly as much as classes differ, pairs
-# of blocks that tell it, and log amplitude (0.9 dB) by which levels must differ for it to be told.
-LAG, ENOUGH, TOLD = 6, 20, 0.1
+# of blocks that tell it, and log amplitude (0.9 and 3.5 dB) by which levels must differ to tell it,
+# and beyond which they are two sediments even if one changes into the other slowly.
+LAG, ENOUGH, TOLD, APART = 6, 20, 0.1, 0.4
+# That of textures, whose levels scatter more.
+TOLD_TEXTURED = 0.2
 # Share of the classes' difference below which there is no edge: simulated edges have 0.93 and more,
 # wavy ones of recorded snippets 0.89, drifts 0.2 to 0.7.
 SHARP = 0.75
@@ -76,10 +79,11 @@ def united(
     laws: list[Law],
     level: FloatArray,
     factor: float,
+    told: float,
 ) -> tuple[NDArray[np.int64], list[Law]]:
     """Unite classes that differ in level but change into each other without an edge.
 
-    A floor whose level drifts along the line is one sediment; a boundary is where it jumps.
+    A floor whose level drifts a little is one sediment; a boundary is where it jumps.
 
     Parameters
     ----------
@@ -91,6 +95,8 @@ def united(
         Mean log amplitude of blocks.
     factor : float
         Pixels to an independent sample.
+    told : float
+        Log amplitude by which levels must differ to tell whether there is an edge.
 
     Returns
     -------
@@ -99,7 +105,9 @@ def united(
     """
     while len(laws) > 1:
         each = range(len(laws))
-        softest, i, j = min((_sharpness(labels, level, i, j), i, j) for i in each for j in range(i))
+        softest, i, j = min(
+            (_sharpness(labels, level, (i, j), told), i, j) for i in each for j in range(i)
+        )
         if softest > SHARP:
             break
         labels = np.where(labels == i, j, labels)
@@ -109,13 +117,16 @@ def united(
     return labels, laws
 
 
-def _sharpness(labels: NDArray[np.int64], level: FloatArray, i: int, j: int) -> float:
+def _sharpness(
+    labels: NDArray[np.int64], level: FloatArray, pair: tuple[int, int], told: float
+) -> float:
     """Difference of two classes' levels across their boundary, of that of the classes as such.
 
     1 where it cannot be told.
     """
+    i, j = pair
     whole = float(np.median(level[labels == i]) - np.median(level[labels == j]))
-    if abs(whole) < TOLD:
+    if not told < abs(whole) < APART:
         return 1.0
     jumps = []
     for axis in (0, 1):
