@@ -46,6 +46,9 @@ PRESENT = 0.5
 # wavelengths from which those of one direction are two; cosine above which a whole ratio is an
 # overtone.
 ANOTHER, LONGER, OVERTONE = 0.87, 0.4, 0.95
+# Ratio of frequencies from which, and energy over the strongest wave's below which, a wave of the
+# same direction is an overtone all the same: shadow made one of 2.6 and 2.7 with a tenth.
+SHORTER, FAINT = 1.7, 0.25
 # Share of the strongest wave's energy from which its half or double is tried as well.
 RIVAL = 0.25
 
@@ -166,6 +169,8 @@ def _default(
 def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> xr.Dataset:
     """Estimate a wave of a clip whose first system is estimated already."""
     fit = fit_wave(task, wave.vector)
+    if not np.isfinite(fit.peaks[0].level):  # the prior has no place for it
+        return xr.Dataset()
     points, _, _ = _sampled(fit, task.settings, rng)
     return _labelled(points, fit, task.image, _crossing(wave, first), rng)
 
@@ -205,10 +210,13 @@ def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
         Of the whole clip (waves of its parts are the first one's that bends), in another direction,
         and in the same one at another wavelength that is no harmonic.
     """
+    most = max((wave.energy for wave in waves), default=0.0)
     for wave in waves:
         ratio = float(np.hypot(*wave.vector) / np.hypot(*first))
         cosine = float(abs(wave.vector @ first) / (np.hypot(*wave.vector) * np.hypot(*first)))
-        overtone = cosine > OVERTONE and abs(ratio - round(ratio)) < 0.1 * ratio
+        # under shadow overtones are broad, and moved
+        faint = ratio > SHORTER and wave.energy < FAINT * most
+        overtone = cosine > OVERTONE and (faint or abs(ratio - round(ratio)) < 0.1 * ratio)
         other = cosine < ANOTHER or (abs(np.log(ratio)) > LONGER and not overtone)
         if wave.whole and wave.probability > PRESENT and other:
             return wave
@@ -274,7 +282,8 @@ def _labelled(
     # the same crests, counted along the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     error = np.hypot(_height_error(fit), crossing)
-    named["height"] = named["height"] * np.exp(error * rng.standard_normal(shape))
+    # of mean 1
+    named["height"] *= np.exp(error * rng.standard_normal(shape) - 0.5 * error**2)
     frequency = np.hypot(along, across)
     return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
 
