@@ -53,9 +53,9 @@ class _Given(SeaFloor):
         super().__init__(scene)
         self._grid, self._height = grid, height
 
-    def waves(self, x: FloatArray, y: FloatArray) -> Waves:
+    def systems(self, x: FloatArray, y: FloatArray) -> list[Waves]:
         x, y = np.broadcast_arrays(x, y)
-        return Waves(x, x, y, np.ones(x.shape), np.zeros(x.shape, np.int64))
+        return [Waves(x, x, y, np.ones(x.shape), np.zeros(x.shape, np.int64))]
 
     def elevation(self, waves: Waves) -> FloatArray:
         grid = self._grid
