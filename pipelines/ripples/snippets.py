@@ -1,4 +1,4 @@
-"""Ripples of the real snippets in shared/data/sassed: wavelengths, windows, modelled images.
+"""Ripples of recorded snippets in a folder: wavelengths, windows, modelled images.
 
     python pipelines/ripples/snippets.py FOLDER [--window 160] [--picture FILE.png]
 

@@ -1,6 +1,6 @@
 """Seconds and memory of the sediment stage on recorded texture, which has many small outlines.
 
-    python pipelines/scale/recorded.py --data ../shared/data --folder DIR [--megapixels 25]
+    python pipelines/scale/recorded.py --data FOLDER --folder DIR [--megapixels 25]
 
 Recordings are small: the scotsman line, turned upright, and the four snippets, each turned or
 mirrored at random, are laid side by side to so many pixels, a survey of sediments alone with an

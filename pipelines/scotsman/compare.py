@@ -60,7 +60,7 @@ def agreement(first: Path, second: Path) -> tuple[np.ndarray, float, float]:
 def main() -> int:
     """Run both surveys, sediments alone, and compare."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=HERE / "../../../shared/data/scotsman")
+    parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--output", type=Path, default=HERE / "../out/scotsman-compare")
     options = parser.parse_args()
     data, output = options.data.resolve(), options.output.resolve()

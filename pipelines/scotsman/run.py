@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 def main() -> int:
     """Write the survey file for the folders given, and run it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=HERE / "../../../shared/data/scotsman")
+    parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--output", type=Path, default=HERE / "../out/scotsman")
     options = parser.parse_args()
     survey = yaml.safe_load((HERE / "survey.yaml").read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
 """Sediment boundaries of real recordings, drawn over them.
 
-    python pipelines/sediments/real.py --data ../shared/data --output DIR
+    python pipelines/sediments/real.py --data FOLDER --output DIR
 
 Runs the SASSED snippets 02 and 17 (assumed geometry) and the scotsman line through `sasmap run`,
 and draws boundaries (with their 95 % interval as a band) over the amplitude, and classes beside it.

@@ -389,5 +389,6 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
 def resampled(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Systematic resampling: n indices by weight."""
     places = (rng.random() + np.arange(n)) / n
-    index = np.searchsorted(np.cumsum(weight), places)
+    total = np.cumsum(weight)
+    index = np.searchsorted(total / total[-1], places)
     return np.asarray(np.minimum(index, weight.size - 1))

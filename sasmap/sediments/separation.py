@@ -21,8 +21,8 @@ LAG, ENOUGH, TOLD, APART = 6, 20, 0.1, 0.4
 # That of textures, whose levels scatter more.
 TOLD_TEXTURED = 0.2
 # Share of the classes' difference below which there is no edge: simulated edges have 0.93 and more,
-# wavy ones of recorded snippets 0.89, drifts 0.2 to 0.7.
-SHARP = 0.75
+# wavy ones of recorded snippets 0.72 and 0.89, drifts 0.2 to 0.7.
+SHARP = 0.5
 # Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
 WITHIN = 0.7
 
