@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import Clip
+from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Wave, find_waves
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
@@ -240,17 +241,22 @@ def _sampled(
     free = free_coordinates(fit.geometry)
     sampled = sampled_coordinates(fit.geometry)
 
+    ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
+    coordinates = Coordinates(ridge, fit.geometry)
+    rest = coordinates.to_sampling(fit.z)
+
     def whole(points: FloatArray) -> FloatArray:
-        every = np.broadcast_to(fit.z, (*points.shape[:-1], COORDINATES)).copy()
+        every = np.broadcast_to(rest, (*points.shape[:-1], COORDINATES)).copy()
         every[..., sampled] = points
-        return every
+        return coordinates.from_sampling(every)
 
     def log_density(points: FloatArray) -> FloatArray:
         return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
 
     keep = np.ix_(*[np.isin(free, sampled)] * 2)
-    ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
-    proposal = mixture_of_peaks([(p.z[sampled], p.covariance[keep], p.level) for p in ridge])
+    proposal = mixture_of_peaks(
+        [(p.z[sampled], p.covariance[keep], p.level) for p in coordinates.peaks]
+    )
 
     def suffice(draws: FloatArray) -> bool:
         told = named_parameters(whole(draws), fit.geometry)

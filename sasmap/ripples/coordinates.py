@@ -1,0 +1,86 @@
+"""In which coordinates a clip's posterior is sampled: contrast, or height, beside the law.
+
+An image tells contrast where shadow does not tell height. Where it does, contrast follows from
+height and law by a curve, and a mixture of Gaussians is a poor picture of that. Both differ by a
+function of the law alone, so that densities are the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.optimise import HEIGHT, LAW, Peak, free_coordinates
+from sasmap.ripples.rendering import CONCENTRATION, EXPONENT, Geometry
+
+FloatArray = NDArray[np.float64]
+
+# Least contrast per slope, and step of its derivatives by the law's coordinates.
+LEAST, STEP = 1e-9, 1e-4
+
+
+class Coordinates:
+    """Sampling coordinates of some peaks.
+
+    Parameters
+    ----------
+    peaks : list of Peak
+        Their `level` is the log of their mass.
+    geometry : Geometry
+    """
+
+    def __init__(self, peaks: list[Peak], geometry: Geometry) -> None:
+        self._tangent = geometry.altitude_middle / geometry.range_middle
+        self.by_height = False
+        self.peaks = peaks
+        if not np.isnan(geometry.fixed[0]):
+            return
+        free = free_coordinates(geometry)
+        at = int(np.flatnonzero(free == HEIGHT)[0])
+        turned = [self._turned(p, free) for p in peaks]
+        self.by_height = _variance(turned, at) < _variance(peaks, at)
+        self.peaks = turned if self.by_height else peaks
+
+    def to_sampling(self, z: FloatArray) -> FloatArray:
+        """Return points (..., COORDINATES) whose third coordinate is log A_H where that is told."""
+        points = z.copy()
+        if self.by_height:
+            points[..., HEIGHT] -= self._per_slope(z)
+        return points
+
+    def from_sampling(self, points: FloatArray) -> FloatArray:
+        """Return the model's coordinates (..., COORDINATES), the third the log of contrast."""
+        z = points.copy()
+        if self.by_height:
+            z[..., HEIGHT] += self._per_slope(points)
+        return z
+
+    def _per_slope(self, z: FloatArray) -> FloatArray:
+        """Log of the contrast per slope, to first order."""
+        exponent = EXPONENT[0] + EXPONENT[1] * z[..., LAW]
+        concentration = CONCENTRATION[0] + CONCENTRATION[1] * z[..., LAW + 1]
+        off = np.arctan(self._tangent) - 0.5 * np.pi
+        each = exponent / self._tangent - 2.0 * concentration * off + self._tangent
+        return np.asarray(np.log(np.maximum(each, LEAST)))
+
+    def _turned(self, peak: Peak, free: NDArray[np.int64]) -> Peak:
+        """Tell a peak by height."""
+        turn = np.eye(free.size)
+        at = int(np.flatnonzero(free == HEIGHT)[0])
+        here = self._per_slope(peak.z)
+        for i in (LAW, LAW + 1):
+            beside = peak.z.copy()
+            beside[i] += STEP
+            turn[at, np.flatnonzero(free == i)] = -(self._per_slope(beside) - here) / STEP
+        z = peak.z.copy()
+        z[HEIGHT] -= here
+        return Peak(z, peak.level, turn @ peak.covariance @ turn.T)
+
+
+def _variance(peaks: list[Peak], at: int) -> float:
+    """Variance of a mixture's third coordinate."""
+    weight = np.exp([p.level - max(q.level for q in peaks) for p in peaks])
+    weight /= weight.sum()
+    mean = np.array([p.z[HEIGHT] for p in peaks])
+    within = np.array([p.covariance[at, at] for p in peaks])
+    return float(weight @ (within + (mean - weight @ mean) ** 2))
