@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyproj
 import pytest
+import yaml
 
 import sasmap
 from sasmap.run.pipeline import run_survey
@@ -17,8 +18,15 @@ SURVEY = Path(__file__).resolve().parents[2] / "pipelines" / "scotsman" / "surve
 
 
 @pytest.fixture(scope="module")
-def survey():
-    return sasmap.load_survey(SURVEY)
+def survey(tmp_path_factory):
+    """The survey file beside the recording's own folder."""
+    content = yaml.safe_load(SURVEY.read_text(encoding="utf-8"))
+    line = content["passes"][0]
+    line["tiles"] = [str(SHARED / "scotsman" / name) for name in line["tiles"]]
+    line["navigation"] = str(SHARED / "scotsman" / line["navigation"])
+    path = tmp_path_factory.mktemp("scotsman") / "survey.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return sasmap.load_survey(path)
 
 
 def by_hand(x, y):
