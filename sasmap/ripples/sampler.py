@@ -175,6 +175,7 @@ def adapted(
     log_density: LogDensity,
     proposal: Proposal,
     particles: FloatArray,
+    walkers: int,
     rng: np.random.Generator,
 ) -> tuple[Proposal, FloatArray, FloatArray]:
     """Learn a proposal from many short chains in rounds of burn-in, until nothing is far beyond it.
@@ -189,6 +190,8 @@ def adapted(
         To begin with.
     particles : ndarray (n, size)
         To begin from.
+    walkers : int
+        Chains.
     rng : Generator
 
     Returns
@@ -196,10 +199,10 @@ def adapted(
     proposal : Proposal
         To be frozen.
     particles : ndarray (m, size)
-    states : ndarray (WALKERS, size)
+    states : ndarray (walkers, size)
         Where the chains ended, in random order.
     """
-    states = particles[rng.permutation(len(particles))[:WALKERS]]
+    states = particles[rng.permutation(len(particles))[:walkers]]
     seen = np.empty((0, particles.shape[1]))
     for _ in range(ADAPTATIONS):
         guarded = defended(proposal)
@@ -248,7 +251,8 @@ def sample(
         Whether they suffice.
     """
     particles, proposal = population(log_density, proposal, rng)
-    proposal, particles, states = adapted(log_density, proposal, particles, rng)
+    walkers = max(WALKERS, chains)
+    proposal, particles, states = adapted(log_density, proposal, particles, walkers, rng)
     states, relearned = states[:chains], False
     rounds: list[Chains] = []
     kept, done = 0, False

@@ -150,20 +150,25 @@ def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: B
     return np.asarray(values - np.interp(place, at, gain))
 
 
-def leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
-    """Take bands off a look's blocks, off their level and off how it scatters.
+def leveled(blocks: Sequence[Blocks], bands: Bands) -> list[Blocks]:
+    """Take bands off the blocks of all looks, off their level and off how it scatters.
 
     Parameters
     ----------
-    block : Blocks
+    blocks : sequence of Blocks
+        Of each look.
     bands : Bands
-    look : int
 
     Returns
     -------
-    Blocks
+    list of Blocks
         In the water column nothing is known.
     """
+    return [_leveled(block, bands, look) for look, block in enumerate(blocks)]
+
+
+def _leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
+    """Take bands off a look's blocks."""
     spread = np.log(np.maximum(block.variance, 1e-6))
     spread = evened(spread, block.known > 0, block, bands)
     gain = bands.of_block(look, block)

@@ -58,7 +58,7 @@ def carry_over(
     bands = find_bands(blocks, first_trends(blocks))
     taken = None
     if bands.span >= SLIGHT:
-        flat_blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
+        flat_blocks = leveled(blocks, bands)
         others, better = _trends(flat_blocks, *moments)
         # Schwarz's criterion: each bin of range is a parameter
         free = sum(gain.size for gain in bands.gains)

@@ -142,7 +142,7 @@ def _without_drift(survey: _Survey, found: _Found) -> _Found:
     """Unite classes that drift alone parts."""
     blocks = survey.blocks
     if found.bands is not None:
-        blocks = [leveled(b, found.bands, k) for k, b in enumerate(blocks)]
+        blocks = leveled(blocks, found.bands)
     level, weight = levels(blocks, found.trends)
     seen = np.where(weight > 0, found.labels, -1)
     flat = survey.flat(found.trends, found.bands)
@@ -155,7 +155,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     """Group blocks, free of bands of gain, if there are any."""
     blocks = survey.blocks
     if bands is not None:
-        blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
+        blocks = leveled(blocks, bands)
     first = trends = first_trends(blocks)
     dark = dark_blocks(blocks, trends)
     fewest, most = count or 1, None

@@ -55,7 +55,7 @@ def train_classes(
     index = np.nonzero(labels >= 0)
     bands = _confirmed(blocks, labels)
     if bands is not None:
-        blocks = [leveled(b, bands, k) for k, b in enumerate(blocks)]
+        blocks = leveled(blocks, bands)
     trends = first_trends(blocks)
     if index[0].size:
         _, groups = np.unique(labels[index], return_inverse=True)
@@ -84,10 +84,7 @@ def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
     bands = find_bands(blocks, first_trends(blocks))
     if bands.span < SLIGHT:
         return None
-    scatter = [
-        _scatter(some, labels)
-        for some in (blocks, [leveled(b, bands, k) for k, b in enumerate(blocks)])
-    ]
+    scatter = [_scatter(some, labels) for some in (blocks, leveled(blocks, bands))]
     return bands if scatter[1] < AGREE * scatter[0] else None
 
 

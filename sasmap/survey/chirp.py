@@ -117,11 +117,8 @@ def _ratio(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> Float
 def _geometry(
     sonar_pass: SonarPass, tile: Tile, crs: str, x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    seen = sonar_pass.track.locate(*transform_points(tile.lattice.crs, crs, x, y))
-    distance = seen.distance
-    if len(sonar_pass.sides) == 1:
-        distance[seen.starboard != (sonar_pass.sides[0] == "starboard")] = np.nan
-    return distance, seen.altitude
+    seen = sonar_pass.locate(*transform_points(tile.lattice.crs, crs, x, y))
+    return seen.distance, seen.altitude
 
 
 def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend | None:

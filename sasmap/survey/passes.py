@@ -23,7 +23,7 @@ from sasmap.survey.lattice import (
     outline,
     transform_points,
 )
-from sasmap.survey.navigation import Track
+from sasmap.survey.navigation import Geometry, Track
 from sasmap.survey.tiles import Amplitude, Tile, gather
 
 Side = Literal["port", "starboard"]
@@ -89,6 +89,24 @@ class SonarPass:
         """How far a tile pixel can lie from the sea floor it shows, m."""
         return float(self.track.altitude.max()) if self.slant else 0.0
 
+    def locate(self, x: FloatArray, y: FloatArray) -> Geometry:
+        """Find the track's nearest point for map points, on the sides that the pass shows.
+
+        Parameters
+        ----------
+        x, y : ndarray
+            Map coordinates, m, of one shape.
+
+        Returns
+        -------
+        Geometry
+            As of :meth:`Track.locate`; the distance is NaN on the other side as well.
+        """
+        seen = self.track.locate(x, y)
+        if len(self.sides) == 1:
+            seen.distance[seen.starboard != (self.sides[0] == "starboard")] = np.nan
+        return seen
+
 
 def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> dict[str, Any]:
     """Compute where a window's pixels are and how the sonar saw them.
@@ -111,10 +129,8 @@ def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> d
     """
     x, y = transform_points(lattice.crs, crs, *lattice.centres(window))
     x, y = np.broadcast_arrays(x, y)
-    seen = sonar_pass.track.locate(x, y)
+    seen = sonar_pass.locate(x, y)
     ground_range = seen.distance
-    if len(sonar_pass.sides) == 1:
-        ground_range[seen.starboard != (sonar_pass.sides[0] == "starboard")] = np.nan
     result = {"x": x, "y": y, "starboard": seen.starboard}
     if sonar_pass.slant:
         squared = seen.distance**2 - seen.altitude**2

@@ -228,11 +228,8 @@ def _is_near(
 
 def _seen(sonar_pass: SonarPass, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Distance of points from the track, in altitudes, and altitude, m; NaN where not seen."""
-    seen = sonar_pass.track.locate(x, y)
-    ratio = seen.distance / seen.altitude
-    if len(sonar_pass.sides) == 1:
-        ratio[seen.starboard != (sonar_pass.sides[0] == "starboard")] = np.nan
-    return ratio, seen.altitude
+    seen = sonar_pass.locate(x, y)
+    return seen.distance / seen.altitude, seen.altitude
 
 
 def _pixels(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> FloatArray:

@@ -16,6 +16,7 @@ from sasmap.ripples.sampler import (
     mixture_of_peaks,
     population,
     resampled,
+    sample,
     tempered,
 )
 
@@ -193,3 +194,13 @@ def test_weights():
     weight = np.array([0.5, 0.0, 0.3, 0.2])
     chosen = np.bincount(resampled(weight, 1000, np.random.default_rng(0)), minlength=4)
     np.testing.assert_allclose(chosen, 1000 * weight, atol=1.01)
+
+
+def test_as_many_chains_as_are_asked_for():
+    def told(draws):
+        return True
+
+    rng = np.random.default_rng(4)
+    start = mixture_of_peaks(STARTS["banana"])
+    chains, _ = sample(banana, start, told, chains=64, most=100, rng=rng)
+    assert chains.draws.shape == (64, 100, 3)
