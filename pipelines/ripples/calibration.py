@@ -31,6 +31,7 @@ from sasmap.ripples.fit import (
 )
 from sasmap.ripples.optimise import COORDINATES, HEIGHT
 from sasmap.ripples.rendering import (
+    LAW_BOUNDS,
     LAW_KNOTS,
     LINE_OF_SIGHT,
     Geometry,
@@ -115,7 +116,8 @@ def draw_parameters(geometry: Geometry, frequency: float, rng: np.random.Generat
             z[HEIGHT] += np.log(height / parameters_at(z, geometry).height)
         ripple = parameters_at(z, geometry)
         possible = abs(ripple.peakedness) < 0.4 and abs(ripple.asymmetry) < 0.4
-        possible &= -1 < ripple.exponent < 5 and -1 < ripple.concentration < 5
+        least, most = LAW_BOUNDS
+        possible &= least < ripple.exponent < most and least < ripple.concentration < most
         if possible and np.isfinite(height) and 2 * np.pi * frequency * height < 1:
             return ripple
 

@@ -13,12 +13,13 @@ from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import (
-    COARSE_ROUNDS,
+    CLIMB,
+    PEAKS,
     Peak,
-    cross_entropy,
     distinct,
     fisher_scoring,
     glance,
+    rivals,
     search,
 )
 from sasmap.ripples.phase import (
@@ -66,7 +67,7 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.15, 0.5, 16
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
-LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.15, 0.2, 0.25, 0.3, 0.8), 0.03, 2
+LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
 # Error of the pulse's second harmonic where crests bend.
 FIELD_HARMONIC = 0.03
 # Steepest slope of a peaked profile over a sine's of the same height.
@@ -245,15 +246,34 @@ def refined(task: Task, fit: Fit) -> Fit:
     fit = fit._replace(noise_factor=factor, explained=explained(fit))
     whole = fit.data
     for _ in range(ERROR_ROUNDS):
-        weight = bin_weights(fit._replace(data=whole), factor, image.pixel_size)
-        data = whole._replace(
-            pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
-        )
-        fit = fit._replace(data=data)
-        fit = climbed(fit, with_errors(fit), fit.geometry, COARSE_ROUNDS)
-    rng = np.random.default_rng(0)  # where the peak lies is no matter of chance
-    peaks = [cross_entropy(p, fit.data, fit.geometry, rng) for p in fit.peaks]
-    return fit._replace(peaks=distinct(peaks, 2))
+        fit = reweighted(fit, whole, image.pixel_size)
+    found = rivals(fit.peaks, fit.data, fit.geometry)
+    if found[0] is fit.peaks[0]:
+        return fit._replace(peaks=found)
+    return reweighted(fit._replace(peaks=found), whole, image.pixel_size)
+
+
+def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
+    """Tell anew what the model may be wrong by at a fit's likeliest peak, and climb on.
+
+    Parameters
+    ----------
+    fit : Fit
+    whole : Histogram
+        Of whole pixels.
+    pixel_size : float
+        m.
+
+    Returns
+    -------
+    Fit
+    """
+    weight = bin_weights(fit._replace(data=whole), fit.noise_factor, pixel_size)
+    data = whole._replace(
+        pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
+    )
+    fit = fit._replace(data=data)
+    return climbed(fit, with_errors(fit), fit.geometry, CLIMB)
 
 
 def explained(fit: Fit) -> float:
@@ -354,5 +374,5 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
 
 def climbed(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:
     """Climb on from a fit's peaks on another histogram or geometry."""
-    peaks = distinct([fisher_scoring(p.z, data, geometry, rounds) for p in fit.peaks], 2)
+    peaks = distinct([fisher_scoring(p.z, data, geometry, rounds) for p in fit.peaks], PEAKS)
     return fit._replace(data=data, geometry=geometry, peaks=peaks)

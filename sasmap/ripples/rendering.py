@@ -51,8 +51,8 @@ PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.2), 0.4
 # Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
 # c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
 # (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
-EXPONENT, CONCENTRATION = (1.5, 0.9), (0.4, 0.5)
-LAW_BOUNDS = (-1.0, 5.0)
+EXPONENT, CONCENTRATION = (1.6, 1.2), (0.5, 0.6)
+LAW_BOUNDS = (-1.5, 6.0)
 # Grazing angles between which a law's departure from the family is linear in the log of the sine.
 LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]))))
 # Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and

@@ -80,9 +80,18 @@ def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list
     known = [p for p in peaks if p.level > peaks[0].level - NEGLIGIBLE]
     if not np.isnan(geometry.fixed[0]):
         return [p._replace(level=p.level - peaks[0].level) for p in known]
-    found = [place for peak in known for place in _walked(peak, data, geometry)]
+    free = free_coordinates(geometry)
+    found: list[Peak] = []
+    for peak in known:
+        if not any(_holds(place, peak.z[free] - place.z[free]) for place in found):
+            found += _walked(peak, data, geometry)
     most = max(p.level for p in found)
     return [p._replace(level=p.level - most) for p in found if p.level > most - NOTHING]
+
+
+def _holds(place: Peak, offset: FloatArray) -> bool:
+    """Whether a point at an offset from a place on a ridge lies within its Gaussian."""
+    return bool(offset @ np.linalg.solve(place.covariance, offset) < offset.size)
 
 
 def _walked(peak: Peak, data: Histogram, geometry: Geometry) -> list[Peak]:
