@@ -38,7 +38,9 @@ from sasmap.ripples.phase import (
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendering import (
+    BLUR_SD,
     CREST,
+    FIELD_BLUR_SD,
     LAW_KNOTS,
     LINE_OF_SIGHT,
     Geometry,
@@ -64,7 +66,7 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 # least relative error of the expected intensity, with straight crests and where a field is
 # followed; displacement in pixels; share of a field's error that the mean over a group keeps
 # (pipelines/ripples/coherent.py).
-MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHARE, ERROR_CELLS = 0.02, 0.04, 0.15, 0.5, 16
+MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
@@ -182,6 +184,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         altitude_sd=task.altitude_sd,
         wave_sd=FOUND_TO / max(float(np.ptp(data.place)), image.pixel_size),
         expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
+        blur_sd=BLUR_SD if phase.rigid else FIELD_BLUR_SD,
         follows_image=not phase.rigid,
         published=published,
         shadow=rule,
@@ -320,9 +323,10 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     """Tell what a pixel of each bin is worth (blocks, bins): less where the model may err.
 
     A relative error of the expected intensity, and a displacement of the pulse, are shared by the
-    pixels of a cell: a group of range and a part of phase. Integrated out, an error of standard
-    deviation s that n pixels share leaves them the weight 1 / (F + n s^2). The relative error is
-    what the clip's own misfit shows, and no less than MODEL_ERROR.
+    pixels of a cell: a group of range and a part of phase; another by all that show a part of
+    phase. Integrated out, an error of standard deviation s that n pixels share leaves them the
+    weight 1 / (F + n s^2). The relative errors are what the clip's own misfit shows, the first no
+    less than MODEL_ERROR.
 
     Parameters
     ----------
@@ -342,21 +346,29 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     bins = means.shape[1]
     logs = np.log(means)
     slope = 0.5 * bins * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
-    turn = 0.0 if fit.phase.rigid else FIELD_SHARE * fit.phase.error / (2 * np.pi)
+    turn = 0.0 if fit.phase.rigid else FIELD_SHIFT
     shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
-    cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
-    cells = (data.group.max() + 1) * ERROR_CELLS
+    groups = int(data.group.max()) + 1
+    part = np.arange(bins) * ERROR_CELLS // bins
+    cell = data.group[:, None] * ERROR_CELLS + part
 
     def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(cell.ravel(), values.ravel(), cells), float)
+        summed = np.bincount(cell.ravel(), values.ravel(), groups * ERROR_CELLS)
+        return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
 
     count = np.maximum(total(data.pixel_count), 1.0)
-    displaced = total(data.pixel_count * (shift * slope) ** 2) / count
+    displacement = (shift * slope) ** 2
+    displaced = total(data.pixel_count * displacement) / count
     misfit = total(data.intensity_sum / means) / count - 1
-    excess = np.average(misfit**2 - noise_factor / count - displaced, weights=count)
-    error = max(float(excess), MODEL_ERROR**2 if fit.phase.rigid else FIELD_ERROR**2)
-    variance = error + (shift * slope) ** 2
-    return np.asarray(1 / (noise_factor + count[cell] * variance))
+    whole = count.sum(axis=0)
+    shared = (count * misfit).sum(axis=0) / whole
+    both = np.average(misfit**2 - noise_factor / count - displaced, weights=count)
+    displaced = (count * displaced).sum(axis=0) / whole
+    common = np.average(shared**2 - noise_factor / whole - displaced, weights=whole)
+    common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
+    error = max(both - common, MODEL_ERROR**2 if fit.phase.rigid else FIELD_ERROR**2)
+    known = count[data.group][:, part] * error + whole[part] * (common + displacement)
+    return np.asarray(1 / (noise_factor + known))
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:

@@ -207,7 +207,7 @@ def rivals(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]
     """Look for peaks that climbs from the scan's starts do not reach.
 
     Where shadow covers most of a wavelength, lit crests look alike from several heights and
-    profiles. Climbs from the best peak with its law or its profile moved reach the others: of 39
+    profiles. Climbs from the best peak with its law, its profile or its blur moved reach the others: of 39
     drawn histograms all come within a log unit of the truth's peak, 30 by :func:`search` alone.
 
     Parameters
@@ -227,7 +227,8 @@ def rivals(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]
     free = free_coordinates(geometry)
     for _ in range(KICKS):
         starts = []
-        for i, step in product(free[(free >= LAW) & (free <= ASYMMETRY)], (-KICK, KICK)):
+        kicked = free[((free >= LAW) & (free <= ASYMMETRY)) | (free == BLUR)]
+        for i, step in product(kicked, (-KICK, KICK)):
             z = peaks[0].z.copy()
             z[i] += step
             if np.isfinite(log_posterior(z, data, geometry)):

@@ -50,7 +50,8 @@ BOUND = 0.75
 PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.2), 0.4
 # Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
 # c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
-# (Boehme 1985; Olson et al. 2016). Bounds that no sea floor reaches.
+# (Boehme 1985; Olson et al. 2016); n = 4 is reached below a critical angle (APL-UW TR 9407). Bounds
+# that no sea floor reaches.
 EXPONENT, CONCENTRATION = (1.6, 1.2), (0.5, 0.6)
 LAW_BOUNDS = (-1.5, 6.0)
 # Grazing angles between which a law's departure from the family is linear in the log of the sine.
@@ -59,8 +60,9 @@ LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]
 # the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
 # taken out under Lambert's law.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
-# Standard deviation of the log of the blur about its expectation.
-BLUR_SD = 0.35
+# Standard deviation of the log of the blur about its expectation, with straight crests and where a
+# field is followed: forks and crests that wander blur by more than the field's own error.
+BLUR_SD, FIELD_BLUR_SD = 0.35, 0.8
 LINE_OF_SIGHT, CREST = 1, 2
 
 
@@ -155,6 +157,8 @@ class Geometry(NamedTuple):
         make of it.
     expected_blur : float
         Cycles.
+    blur_sd : float
+        Standard deviation of the log of the blur about that.
     wave_sd : float
         Standard deviation of the wave number along the look about the histogram's, cycles/m.
     follows_image : bool
@@ -185,6 +189,7 @@ class Geometry(NamedTuple):
     altitude_middle: float
     altitude_sd: float
     expected_blur: float
+    blur_sd: float
     wave_sd: float
     follows_image: bool
     published: bool
@@ -254,7 +259,7 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
         asymmetry,
         np.exp(NOISE_LOG[0] + NOISE_LOG[1] * z[7]),
         NOISE_SLOPE[0] + NOISE_SLOPE[1] * z[8],
-        geometry.expected_blur * np.exp(BLUR_SD * z[9]),
+        geometry.expected_blur * np.exp(geometry.blur_sd * z[9]),
         scale,
     )
 
