@@ -31,7 +31,6 @@ from sasmap.ripples.fit import (
 )
 from sasmap.ripples.optimise import COORDINATES, HEIGHT
 from sasmap.ripples.rendering import (
-    BLUR_SD,
     LAW_BOUNDS,
     LAW_KNOTS,
     LINE_OF_SIGHT,
@@ -87,7 +86,6 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         altitude_middle=scene.altitude,
         altitude_sd=ALTITUDE_SD,
         expected_blur=0.5 * scene.pixel * along,
-        blur_sd=BLUR_SD,
         wave_sd=FOUND_TO / (scene.side * scene.pixel),
         follows_image=False,
         published=False,

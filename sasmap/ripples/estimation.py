@@ -37,8 +37,9 @@ MIN_PIXELS = 400
 # (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
 # Largest noise factor that correlated speckle makes, and error of log A_H for each power of e
-# beyond.
-SPECKLE, MISFIT = 4.0, 0.15
+# beyond: with straight crests, and where a field is followed, as forks under deep shadow make it
+# large (pipelines/ripples/coherent.py).
+MISFIT, FIELD_MISFIT = (4.0, 0.15), (3.0, 0.3)
 # Draws from which the lag's slope over range is learned.
 LAG_DRAWS = 60
 # Probability from which a clip counts as rippled.
@@ -300,8 +301,8 @@ def _height_error(fit: Fit) -> float:
     The pulse is that of straight crests of the mean wavelength; and an image that varies more than
     speckle does holds something that the model lacks.
     """
-    error = 0.0 if fit.phase.rigid else FIELD_HEIGHT
-    return float(np.hypot(error, MISFIT * max(np.log(fit.noise_factor / SPECKLE), 0.0)))
+    error, (speckle, misfit) = (0.0, MISFIT) if fit.phase.rigid else (FIELD_HEIGHT, FIELD_MISFIT)
+    return float(np.hypot(error, misfit * max(np.log(fit.noise_factor / speckle), 0.0)))
 
 
 def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -38,9 +38,7 @@ from sasmap.ripples.phase import (
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendering import (
-    BLUR_SD,
     CREST,
-    FIELD_BLUR_SD,
     LAW_KNOTS,
     LINE_OF_SIGHT,
     Geometry,
@@ -62,10 +60,10 @@ POINT_SPREAD = 0.5
 FOUND_TO = 0.5
 # Rounds in which the trend is told anew, knowing the pulse, and of Fisher scoring in each.
 TREND_ROUNDS, TREND_CLIMB = 2, 6
-# Errors of the model that the pixels of a group of range and one of so many parts of phase share:
-# least relative error of the expected intensity, with straight crests and where a field is
-# followed; displacement in pixels; share of a field's error that the mean over a group keeps
-# (pipelines/ripples/coherent.py).
+# Errors of the model: least relative error of the expected intensity that the pixels of a group of
+# range and one of so many parts of phase share, with straight crests and where a field is followed;
+# displacement of the pulse that all groups share, in pixels, and in cycles where a field is
+# followed (pipelines/ripples/coherent.py).
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
@@ -184,7 +182,6 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         altitude_sd=task.altitude_sd,
         wave_sd=FOUND_TO / max(float(np.ptp(data.place)), image.pixel_size),
         expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
-        blur_sd=BLUR_SD if phase.rigid else FIELD_BLUR_SD,
         follows_image=not phase.rigid,
         published=published,
         shadow=rule,
@@ -322,11 +319,11 @@ def with_errors(fit: Fit) -> Histogram:
 def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     """Tell what a pixel of each bin is worth (blocks, bins): less where the model may err.
 
-    A relative error of the expected intensity, and a displacement of the pulse, are shared by the
-    pixels of a cell: a group of range and a part of phase; another by all that show a part of
-    phase. Integrated out, an error of standard deviation s that n pixels share leaves them the
-    weight 1 / (F + n s^2). The relative errors are what the clip's own misfit shows, the first no
-    less than MODEL_ERROR.
+    A relative error of the expected intensity is shared by the pixels of a cell, a group of range
+    and a part of phase. Another, and a displacement of the pulse, are shared by all that show a
+    part of phase. Integrated out, an error of standard deviation s that n pixels share leaves them
+    the weight 1 / (F + n s^2). The relative errors are what the clip's own misfit shows, the first
+    no less than MODEL_ERROR.
 
     Parameters
     ----------

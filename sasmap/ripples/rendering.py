@@ -60,9 +60,8 @@ LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]
 # the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
 # taken out under Lambert's law.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
-# Standard deviation of the log of the blur about its expectation, with straight crests and where a
-# field is followed: forks and crests that wander blur by more than the field's own error.
-BLUR_SD, FIELD_BLUR_SD = 0.35, 0.8
+# Standard deviation of the log of the blur about its expectation.
+BLUR_SD = 0.35
 LINE_OF_SIGHT, CREST = 1, 2
 
 
@@ -157,8 +156,6 @@ class Geometry(NamedTuple):
         make of it.
     expected_blur : float
         Cycles.
-    blur_sd : float
-        Standard deviation of the log of the blur about that.
     wave_sd : float
         Standard deviation of the wave number along the look about the histogram's, cycles/m.
     follows_image : bool
@@ -189,7 +186,6 @@ class Geometry(NamedTuple):
     altitude_middle: float
     altitude_sd: float
     expected_blur: float
-    blur_sd: float
     wave_sd: float
     follows_image: bool
     published: bool
@@ -259,7 +255,7 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
         asymmetry,
         np.exp(NOISE_LOG[0] + NOISE_LOG[1] * z[7]),
         NOISE_SLOPE[0] + NOISE_SLOPE[1] * z[8],
-        geometry.expected_blur * np.exp(geometry.blur_sd * z[9]),
+        geometry.expected_blur * np.exp(BLUR_SD * z[9]),
         scale,
     )
 
