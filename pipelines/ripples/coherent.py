@@ -133,7 +133,7 @@ def report(rows: list[dict[str, Any]]) -> None:
     print(f"found {len(found)} of {len(enough)} with four wavelengths or more")
     seconds = column(rows, "seconds")
     late = np.quantile(seconds, 0.9)
-    print(f"seconds a cell: median {np.median(seconds):.2f}, 90 % below {late:.2f}")
+    print(f"seconds per cell: median {np.median(seconds):.2f}, 90 % below {late:.2f}")
     names = "50 %  90 %  error  sure    n far"
     print(f"{'':28s}            f: {names}   A_H: {names}")
     describe("all good cells", good)

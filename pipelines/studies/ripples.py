@@ -10,7 +10,7 @@ the pixels; seconds are wall clock on one core. Writes ripples.csv, ripples.md a
 
 Methods: the FFT start alone; the published sampler, on row means and (same numbers, timed on few
 clips) as published on all pixels; a brute-force grid posterior; emcee; differential evolution with
-restarts; sasmap's default method at budgets of 100 to 4000 draws a chain, told the scattering law
+restarts; sasmap's default method at budgets of 100 to 4000 draws per chain, told the scattering law
 and (as by default) not told it. Grid, emcee and differential evolution use the speckle likelihood
 of row means, exact for straight crests, and are told the law.
 """
@@ -230,7 +230,7 @@ def hammer(case: Case, seed: int, steps: int = 3000) -> Found:
 
 
 def default(draws: int, scattering: str) -> Callable[[Case, int], Found]:
-    """Return the default method with so many draws a chain at most."""
+    """Return the default method with so many draws per chain at most."""
     settings = RippleSettings(
         shadow="crest", draws=draws, frequency=(0.05, 5), scattering=scattering
     )

@@ -92,7 +92,7 @@ def main() -> None:
     print_table(rows, ("version",))
     for version in dict.fromkeys(row["version"] for row in rows):
         seconds = values([row for row in rows if row["version"] == version], "seconds")
-        print(f"seconds a cell, {version}: median {np.median(seconds):.2f}")
+        print(f"seconds per cell, {version}: median {np.median(seconds):.2f}")
 
 
 if __name__ == "__main__":

@@ -25,17 +25,17 @@ from sasmap.products.ranges import digits_for, has_content, range_of, widened
 
 Codes = Mapping[int, tuple[str, Colour]]
 
-# Opacity of sediments over the mosaic, and the longest ripple symbol over a cell.
+# Opacity of sediments over the mosaic, and longest ripple symbol over a cell's side (a choice).
 VEIL, LONGEST = 0.45, 0.8
 
 
 def overview(folder: Path, sediments: Codes) -> Picture | None:
-    """Draw the answer: the mosaic with sediments over it, boundaries and ripples.
+    """Draw the overview map: mosaic, sediments, boundaries and ripples.
 
     Parameters
     ----------
     folder : Path
-        Of the products, which are drawn as far as they are there.
+        Of the products; those that exist are drawn.
     sediments : mapping of int to (str, colour)
 
     Returns
@@ -52,10 +52,10 @@ def overview(folder: Path, sediments: Codes) -> Picture | None:
     axes.imshow(values, extent=box, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
     told = ["Sonar mosaic"]
     if _draw_sediments(folder, axes, figure, sediments, VEIL):
-        told.append("sediments over it, with their boundaries")
+        told.append("sediments and their boundaries")
     if _draw_ripples(folder / "ripple_cells.gpkg", axes, figure):
         told.append(
-            "ripples as lines along their crests, longer for longer waves, dotted where flagged"
+            "ripples as lines along the crests, longer for longer wavelengths, dotted where flagged"
         )
     return Picture(encoded(figure), "; ".join(told) + ".")
 

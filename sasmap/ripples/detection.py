@@ -67,7 +67,7 @@ HOPELESS = -6.0
 # Evidence from which a wave is taken for sure; of one looked at along its crests, which is then
 # remarked, contrast of pings' gains and share of their variance that say the same.
 SURE, ALONG_CONTRAST, ALONG_SHARE = 3.0, 0.1, 0.5
-# A wave too long to be told: least wavelengths a clip, contrast, bins that it spreads over, and
+# A wave too long to be told: least wavelengths per clip, contrast, bins that it spreads over, and
 # share of the clip's variance, and share of them that it has to extend over.
 FEW_WAVES, FEW_CONTRAST, FEW_BINS, FEW_SHARE, FEW_EXTENT = 1.5, 0.3, 3.0, 0.4, 0.6
 # Probability of ripples where no peak is worth a look.
@@ -78,7 +78,7 @@ class Unclear(StrEnum):
     """Why a clip cannot tell whether there are ripples, in words, and what to change."""
 
     WAVES = "too few waves in the window: take a larger one"
-    PIXELS = "too few pixels a wave: take tiles of finer pixels, or bound the frequency"
+    PIXELS = "too few pixels per wavelength: take tiles of finer pixels, or bound the frequency"
     ALONG = "looked at along the crests: add a pass on another heading"
 
 
@@ -196,7 +196,7 @@ def _beside(
 def _given(
     image: Image, flat: FloatArray, known: FloatArray, bounds: tuple[float, float]
 ) -> list[Wave]:
-    """Waves that are there, given one (cycles a column and a row) of another system."""
+    """Waves that are there, given one (cycles per column and row) of another system."""
     told = (
         _wave(image, flat, p)
         for p in other_peaks(flat, image.valid, known)[:CANDIDATES]

@@ -42,7 +42,7 @@ def _over_trend(amplitude, valid, by_row, column, least, per_pixel, pings):  # t
     """Divide an amplitude by its trend, in place, and sum it by pings.
 
     `by_row` are the polynomial's factors in the column's place, (rows, degree + 1), `column` that
-    place; `per_pixel` pings a column and a row, and the first pixel's. Returns sums and pixels.
+    place; `per_pixel` pings per column and row, and the first pixel's. Returns sums and pixels.
     """
     rows, columns = amplitude.shape
     total, pixels = np.zeros(pings), np.zeros(pings)
@@ -139,7 +139,7 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
 
 
 def _pings(image: Image) -> tuple[FloatArray, int]:
-    """Pings a column and a row, the first pixel's, and how many there are: a pixel across each."""
+    """Pings per column and row, the first pixel's, and how many there are: a pixel across each."""
     across = np.array([image.look[1], -image.look[0]]) @ image.steps / image.pixel_size
     ends = across * (np.array(image.shape[::-1]) - 1)
     first = -float(np.minimum(ends, 0).sum())

@@ -134,7 +134,7 @@ def learn_survey(
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell one a swath, None where it does not show the cell.
+        Of each cell one per swath, None where it does not show the cell.
     settings : RippleSettings
     seed : int
 
@@ -167,7 +167,7 @@ def fuse_cells(
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell one a swath, None where it does not show the cell.
+        Of each cell one per swath, None where it does not show the cell.
     settings : RippleSettings
     survey : SurveyModel, optional
         What the looks share; learned from these cells if not given.

@@ -153,7 +153,7 @@ def gather(
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell, one a swath.
+        Of each cell, one per swath.
     steepness : tuple of float
         Prior that they were sampled under: median and log standard deviation of crest to trough
         over wavelength; infinite for none.

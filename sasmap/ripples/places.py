@@ -67,7 +67,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
         Amplitude over its trend, less 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
         Amplitude of the whole clip over its trend, less 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------

@@ -200,7 +200,7 @@ def _table(
 ) -> Table:
     """Transform parts of a clip, all of one shape, and sum their power over cells.
 
-    What is within reach of a known wave (cycles a column and a row) is left out.
+    What is within reach of a known wave (cycles per column and row) is left out.
     """
     shape = flat[parts[0]].shape[0], flat[parts[0]].shape[1]
     rows, columns = (next_fast_len(int(PADDING * n), True) for n in shape)
@@ -244,7 +244,7 @@ class Peak(NamedTuple):
     Attributes
     ----------
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
     evidence : float
         Log Bayes factor of a peak against a spectrum without one.
     waves : float
@@ -332,7 +332,7 @@ def _peaks(
 def _centroid(
     power: NDArray[np.float32], full: tuple[int, int], per_pixel: FloatArray, span: float
 ) -> FloatArray:
-    """Centre of the squared power around a wave, cycles a column and a row.
+    """Centre of the squared power around a wave, cycles per column and row.
 
     `span` is how far around, over the wave number: crests that bend and fork spread power.
     """
@@ -408,7 +408,7 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
         Amplitude over its trend, less 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     known : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
@@ -428,7 +428,7 @@ def within_reach(one: FloatArray, other: FloatArray) -> bool:
     Parameters
     ----------
     one, other : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the report shows of a run: gathered here, drawn and written in products."""
+"""Contents of the report, collected here and drawn in products."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from sasmap.run.store import Store, code_version
 from sasmap.run.wording import duration
 from sasmap.settings.yamlfile import dump_yaml
 
-# Standard deviations from which a migration is clear; registration of passes that is taken for
-# granted, m (differential GPS).
+# Standard deviations from which a migration is significant; assumed error of the registration of
+# passes, m (differential GPS).
 SURE, REGISTERED = 3.0, 0.1
 # Maps of the report's section on ripples.
 RIPPLE_MAPS = (
@@ -93,14 +93,14 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
 
 
 def grazing_of(outcome: Outcome) -> tuple[float, float]:
-    """Least and largest grazing angle of the looks with ripples, degrees."""
+    """Smallest and largest grazing angle of the looks with ripples, degrees."""
     looks = [s for every in outcome.cells.values() for s in every if s is not None and s.mixture]
     angles = [float(np.degrees(np.arctan(s.tangent))) for s in looks]
     return (min(angles), max(angles)) if angles else (5.0, 60.0)
 
 
 def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
-    """Tell how far crests moved between the first pass of a cell and each later one."""
+    """Describe how far crests moved between the first pass of a cell and each later one."""
     for k, swath in enumerate(plan.swaths):
         found = [
             c.migration[k]
@@ -112,23 +112,23 @@ def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
         shift = next((c.registration[k] for c in outcome.fused.values() if c.registration), (0, 0))
         if any(shift):
             yield (
-                f"{swath.label}: by the crests of all cells the pass lies {shift[0]:+.3f} m east "
-                f"and {shift[1]:+.3f} m north of the first, which is taken for registration, not "
-                "for migration."
+                f"{swath.label}: the crests of all cells place the pass {shift[0]:+.3f} m east "
+                f"and {shift[1]:+.3f} m north of the first; this is attributed to registration, "
+                "not migration."
             )
         moved, sd = np.array(found).T
         clear = int((np.abs(moved) > SURE * np.hypot(sd, REGISTERED)).sum())
         yield (
             f"{swath.label}: crests lie {np.median(moved):+.3f} m from those of the first pass "
             f"(median of {len(found)} cells; modulo a wavelength"
-            f"{', registration taken off' if any(shift) else ''}); {clear} of them clearly moved, "
+            f"{', registration removed' if any(shift) else ''}); {clear} of them significantly, "
             f"if the passes are registered to {REGISTERED:g} m."
         )
 
 
 def _sections(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     every = (
-        ("answer", "The answer", True),
+        ("answer", "Summary", True),
         ("survey", "Survey", True),
         ("ripples", "Ripples", content["quality"]),
         ("cells", "Cells", content["cells"]),
@@ -191,7 +191,7 @@ def _quality(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def _meaning(outcome: Outcome, quality: Quality) -> str:
-    """Say what a quality means; where ripples cannot be told, why not and what to change."""
+    """Describe a quality; where ripples cannot be identified, say why and what to change."""
     if quality is not Quality.NOT_IDENTIFIABLE:
         return MEANINGS[quality]
     looks = [s for cell in outcome.cells.values() for s in cell if s is not None]
@@ -253,7 +253,7 @@ def _sediments(store: Store, outcome: Outcome, names: Names) -> dict[str, Any]:
     path = store.output / "sediment_class.tif"
     if not has_content(path):
         return {}
-    caption = "Sediment classes and refined boundaries. White: none known (shadow, no data)."
+    caption = "Sediment classes and refined boundaries. White: no class (shadow, no data)."
     content = json.loads((store.output / "sediment_classes.json").read_text(encoding="utf-8"))
     laws = [law_of(one) for one in content["classes"]]
     figure = class_figure(outcome.histograms, laws, names.sediments) if laws else None

@@ -1,4 +1,4 @@
-"""Where a pass of a simulated sonar sees map points from."""
+"""Viewing geometry of a simulated pass."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 
 
 class View(NamedTuple):
-    """Where a pass sees map points from; arrays of the points' shape, m."""
+    """Viewing geometry of map points; arrays of the points' shape, m."""
 
     along: FloatArray
     ground_range: FloatArray
@@ -28,7 +28,7 @@ class Line(NamedTuple):
     start : ndarray (2,)
         Map position of its first ping.
     direction, look : ndarray (2,)
-        Unit vectors (east, north) along the track and from it to the sea floor.
+        Unit vectors (east, north) along the track and across it, towards the imaged sea floor.
     length : float
         m.
     altitude : tuple of float
@@ -61,7 +61,7 @@ class Line(NamedTuple):
 
 
 def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
-    """Lay a pass's track so that the scene lies abeam of it.
+    """Place a pass's track so that the scene lies abeam of it.
 
     Parameters
     ----------

@@ -229,7 +229,7 @@ def _within(blocks: FloatArray, mean: FloatArray) -> float:
 
 
 def _blocks(piece: FloatArray) -> FloatArray:
-    """Cut a piece into blocks without a gap, a row each."""
+    """Cut a piece into blocks without a gap, one row each."""
     rows, columns = (n // BLOCK for n in piece.shape)
     cut = piece[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
     blocks = cut.transpose(0, 2, 1, 3).reshape(-1, BLOCK**2)

@@ -56,7 +56,7 @@ class CellGrid:
 
     @property
     def transform(self) -> Affine:
-        """Affine of rasters with a pixel a cell, about its centre and as large as the spacing."""
+        """Affine of rasters with one pixel per cell, centred on it and as large as the spacing."""
         margin = 0.5 * (self.size - self.spacing)
         place = self.left + margin, self.top - margin
         return Affine(self.spacing, 0.0, place[0], 0.0, -self.spacing, place[1])

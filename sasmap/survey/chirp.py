@@ -139,7 +139,7 @@ def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend |
     slope = np.array([np.gradient(distance, s, axis=k).mean() for k, s in enumerate(steps)])
     if not slope.any():
         return None
-    along = float(vector @ slope / (slope @ slope))  # cycles a metre of distance
+    along = float(vector @ slope / (slope @ slope))  # cycles per metre of distance
     if abs(along) < ALONG * np.hypot(*vector) / np.hypot(*slope):
         return None
     phases = [2 * np.pi * along * _bent(one, distance, (rows, columns)) for one in ranges]
@@ -181,7 +181,7 @@ def _waves(
     rows, columns : ndarray
         Of the places, pixels from the window's corner.
     vector : ndarray (2,)
-        Of the plane wave, cycles a row and a column.
+        Of the plane wave, cycles per row and column.
     """
     try:
         values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)

@@ -113,7 +113,7 @@ def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
 
 
 def _blocks(piece: FloatArray, side: int, step: float) -> NDArray[np.float64]:
-    """Cut a piece into blocks, a row each; those that are dark or have gaps are left out."""
+    """Cut a piece into blocks, one row each; those that are dark or have gaps are left out."""
     rows, columns = (n // side for n in piece.shape)
     cut = piece[: rows * side, : columns * side].reshape(rows, side, columns, side)
     blocks = cut.transpose(0, 2, 1, 3).reshape(-1, side**2)

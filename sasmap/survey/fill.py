@@ -57,7 +57,7 @@ class Fill:
     rows, columns : int
         Blocks.
     packed : bytes
-        A bit a block: fill, or beside fill.
+        One bit per block: fill, or beside fill.
     area : int
         Pixels, about.
     """

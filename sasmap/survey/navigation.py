@@ -58,7 +58,7 @@ class Geometry(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A sonar track as a polyline in map coordinates, one vertex a ping.
+    """A sonar track as a polyline in map coordinates, one vertex per ping.
 
     Attributes
     ----------
@@ -266,7 +266,7 @@ def read_navigation(
     ----------
     path : Path
         CSV with a header; columns altitude and either longitude, latitude or x, y; others are
-        ignored. One row a ping, in track order.
+        ignored. One row per ping, in track order.
     crs : str
         CRS of the track wanted.
     tile_crs : str

@@ -151,7 +151,7 @@ def read_table(path: Path, wanted: frozenset[str]) -> Table:
     """
     lines = _lines(path)
     if not lines:
-        raise InputError(f"{path}: empty: expected a header and one row a ping")
+        raise InputError(f"{path}: empty: expected a header and one row per ping")
     head, mark = _find_header(lines, wanted)
     head_row, names = lines[head][0], _split(lines[head][1], mark)
     body = lines[head + 1 :]
@@ -179,7 +179,7 @@ def _units_below(body: list[tuple[int, str]], mark: str, width: int) -> list[str
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Lines that are neither blank nor comments, with their rows in the file."""
-    check_file(path, "expected a CSV file, one row a ping", MAX_BYTES)
+    check_file(path, "expected a CSV file, one row per ping", MAX_BYTES)
     try:
         text = _decoded(path.read_bytes())
     except OSError as error:
@@ -254,7 +254,7 @@ def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
         raise InputError(f"{path}: expected a CSV text file: {_short(error)}") from None
     if len(cells) != len(body):
-        raise InputError(f"{path}: expected one line a row: a quoted cell spans lines")
+        raise InputError(f"{path}: expected one line per row: a quoted cell spans lines")
     cells = cells.fillna("")
     surplus = np.flatnonzero(cells[width].str.strip() != "")
     if surplus.size:

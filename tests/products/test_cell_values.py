@@ -69,7 +69,7 @@ def test_cells_are_polygons_with_all_that_is_known(sample):
             np.testing.assert_allclose(cells[f"{name}_{statistic}"], raster, rtol=1e-6)
     rippled = cells["column"] < 2
     assert (cells["quality"][rippled] == 1).all()
-    assert set(cells["reason"][~rippled]) == {"looked at, and no ripples found"}
+    assert set(cells["reason"][~rippled]) == {"examined, and no ripples found"}
     assert all("near" in p or "far" in p for p in cells["passes"][rippled])
     assert all(text.startswith("λ 1.66") for text in cells["label"][rippled])
     with rasterio.open(output / "ripple_quality.tif") as source:

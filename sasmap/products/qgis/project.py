@@ -18,13 +18,13 @@ from sasmap.products.qgis.xml import VERSION, child, options, spatial_reference,
 
 
 class Titles(NamedTuple):
-    """What the project says of a titles.
+    """Texts of the project.
 
     Attributes
     ----------
     name : str
     dates : str
-        When it was surveyed; empty where the survey file does not say.
+        Dates of the survey; empty where the survey file gives none.
     run_id, software : str
     """
 
@@ -64,7 +64,7 @@ def write_styles(
         write_text(path, text_of(root), scratch)
         written.append(path)
     for name in set(STYLES) - {path.name for path in written}:
-        (folder / name).unlink(missing_ok=True)  # of an earlier run, of what is no more
+        (folder / name).unlink(missing_ok=True)  # of a product of an earlier run
     if any(name.endswith(".tif") for name in styles):
         written.append(folder / PROJECT)
         write_text(written[-1], _project(folder, styles, titles), scratch)

@@ -18,11 +18,11 @@ from sasmap.products.ranges import digits_for, has_content, range_of, sampled, w
 from sasmap.ripples.posterior import Quality
 
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
-# Classes of colour of the ripple symbols, and the length of the longest of them over a cell.
+# Colour classes of the ripple symbols, and length of the longest symbol over a cell's side.
 RANGES, LONGEST = 5, 0.8
-# Standard deviations on either side of a boundary that its band shows: 95 % of a Gaussian.
+# Half-width of the band along a boundary, in standard deviations: 95 % of a Gaussian.
 BAND = 1.96
-# Name of the class pair of a boundary, the same whichever side is left.
+# Name of a boundary's pair of classes, the same whichever is left.
 PAIR = 'if("left" < "right", "left" || \' | \' || "right", "right" || \' | \' || "left")'
 
 
@@ -187,7 +187,7 @@ def _outlines(colour: Colour) -> ET.Element:
 def _boundaries(
     columns: Mapping[str, Any], sediments: Mapping[int, tuple[str, Colour]]
 ) -> list[ET.Element]:
-    """Draw each pair of classes once: a band of 95 % of the position, sides in their colours."""
+    """Draw each pair of classes: the 95 % interval of the position, each side in its colour."""
     renderer = ET.Element(
         "renderer-v2", type="categorizedSymbol", attr=PAIR, symbollevels="0", forceraster="0"
     )
@@ -201,7 +201,7 @@ def _boundaries(
         band = {"outlineWidth": f'{2 * BAND:g} * "position_sd"'}
         settings = line_settings(BLACK, 0.1, "MapUnit", alpha=90)
         symbol_layer(one, "SimpleLine", settings | {"capstyle": "flat"}, band)
-        # left is negative; the first name lies left or right, as the line runs
+        # left is negative; the first name may lie on either side of the line
         side = 'if("left" < "right", 1, -1)'
         for named, offset in ((first, -0.3), (second, 0.3)):
             settings = line_settings(colours.get(named, BLACK), 0.6)
@@ -216,7 +216,7 @@ def _boundaries(
 
 
 def _ripples(path: Path, columns: Mapping[str, Any]) -> list[ET.Element] | None:
-    """Draw a line along the crests of each cell: longer for longer waves, coloured by height."""
+    """Draw a line along the crests of each cell: length by wavelength, colour by height."""
     height, sd = columns["crest_to_trough_mean"], columns["crest_to_trough_sd"]
     known = np.isfinite(height)
     if not known.any():
