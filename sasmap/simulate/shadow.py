@@ -1,7 +1,7 @@
 """Where shadow begins and ends along a ripple, for any ripple and geometry, as one table.
 
 A point is hidden where the floor before it rises above the straight ray to the sonar, a line of
-slope s = (altitude - h) / range. In units of phase and A_H its slope is s / (2 pi f A_H cos(alpha)).
+slope s = (altitude - h) / range. In units of phase and A_H its slope is s / (2 pi f A_H cos alpha).
 For any range, altitude and look, the phases past the crest where shadow begins and ends depend on
 this ratio alone (and on the steepness, for a Stokes profile).
 """

@@ -152,7 +152,7 @@ def test_a_file_whose_writer_was_killed_is_refused(tmp_path):
         blockxsize=32, blockysize=32, **profile,
     ):  # fmt: skip
         pass
-    assert "no block of it was ever written" in faulty(path)
+    assert "none of its blocks was ever written" in faulty(path)
 
 
 def with_mask(path, nodata=None):
