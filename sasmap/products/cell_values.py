@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.fusion import CellEstimate, FusedCell
+from sasmap.ripples.cell_estimate import CellEstimate
+from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.summary import Summary
 

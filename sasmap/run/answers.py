@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sasmap.catalogue import PROJECT, REPORT
 from sasmap.products.cell_values import measured, statistics
-from sasmap.ripples.fusion import CellEstimate
+from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.posterior import Quality, axial
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan

@@ -17,8 +17,8 @@ from sasmap.errors import InputError
 from sasmap.products.cell_values import VALUES, cell_results, label, measured, statistics
 from sasmap.products.ranges import range_of, widened
 from sasmap.products.ripples import write_ripple_rasters
+from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.derived import Derived
-from sasmap.ripples.fusion import CellEstimate
 
 
 def read(folder, name):

@@ -6,14 +6,8 @@ from scipy import stats
 
 from sasmap.ripples import RippleSettings
 from sasmap.ripples.fusion import fuse_cells, learn_survey
-from sasmap.ripples.looks import (
-    LAW_MEAN,
-    LAW_VARIANCE,
-    Information,
-    multiplied,
-    normalised,
-    widened,
-)
+from sasmap.ripples.information import Information, multiplied, normalised, widened
+from sasmap.ripples.looks import LAW_MEAN, LAW_VARIANCE
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import contrast_per_slope
