@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sasmap.catalogue import BY_FILE
 from sasmap.products.colours import Colour
 from sasmap.products.figures import Picture, encoded, map_frame, read_thinned
-from sasmap.products.ranges import digits_for, has_content, range_of, widened
+from sasmap.products.ranges import digits_for, has_content, padded_range, range_of
 
 Codes = Mapping[int, tuple[str, Colour]]
 
@@ -160,7 +160,7 @@ def _draw_ripples(path: Path, axes: Axes, figure: Figure) -> bool:
     along = np.radians(columns["azimuth_mean"][known] + 90)
     step = half[:, None] * np.stack([np.sin(along), np.cos(along)], axis=1)
     ends = np.stack([centres - step, centres + step], axis=1)
-    low, high = widened(height, columns["crest_to_trough_sd"][known])
+    low, high = padded_range(height, columns["crest_to_trough_sd"][known])
     ramp = BY_FILE[path.name].ramp
     assert ramp is not None
     norm, colours = Normalize(low, high), colormaps[ramp.name]

@@ -58,10 +58,10 @@ def range_of(path: Path) -> tuple[float, float]:
         low, high = np.quantile(values, (DARK, BRIGHT))
         return 0.0 if low < 0.5 * high else float(low), float(high)
     sd = sampled(path, 2) if len(product.bands) > 1 else np.zeros(0)
-    return widened(values, sd)
+    return padded_range(values, sd)
 
 
-def widened(values: FloatArray, sd: FloatArray) -> tuple[float, float]:
+def padded_range(values: FloatArray, sd: FloatArray) -> tuple[float, float]:
     """Range of values that covers at least their uncertainty.
 
     Parameters

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.information import Information, normalised
+from sasmap.ripples.information import Information, moments
 from sasmap.ripples.looks import (
     LAW,
     Looks,
@@ -58,7 +58,7 @@ def distances_of(
     plain, factor = (with_scatter(there, middle, s) for s in (0 * scatter, scatter))
     prior = law_factor(survey.widest, looks.with_law)
     prior = with_prior(prior, steepness_factor(factor.linear.shape[-1], steepness))
-    single = normalised(with_prior(plain, prior))
+    single = moments(with_prior(plain, prior))
     heavy = single[0] - single[0].max(axis=1, keepdims=True) > np.log(SLIGHT)
     volume = np.linalg.slogdet(single[2][..., :3, :3])[1]
     volume = np.where(heavy, volume, -np.inf).max(axis=1)

@@ -21,8 +21,8 @@ from scipy.special import logsumexp
 
 from sasmap.ripples.agreement import agreeing, distances_of
 from sasmap.ripples.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
-from sasmap.ripples.information import Information, multiplied, normalised
-from sasmap.ripples.looks import Looks, Shared, at_height, gather, law_factor, steepness_factor
+from sasmap.ripples.information import Information, moments, multiplied
+from sasmap.ripples.looks import Looks, Shared, at_height, collect, law_factor, steepness_factor
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.registration import Moves, left_over, registration
@@ -93,7 +93,7 @@ def learn_survey(
     SurveyModel
     """
     swaths = max((len(c) for c in cells), default=0)
-    looks = None if settings.method == "zare-cobb" else gather(cells, _steepness(settings))
+    looks = None if settings.method == "zare-cobb" else collect(cells, _steepness(settings))
     scatter = None if settings.scatter is None else np.array(settings.scatter, float)
     return learn(looks, swaths, scatter, seed)
 
@@ -175,7 +175,7 @@ def _registered(fused: list[FusedCell]) -> list[FusedCell]:
 def _fused(
     cells: Sequence[Sequence[Summary | None]], settings: RippleSettings, survey: SurveyModel
 ) -> list[FusedCell]:
-    looks = gather(cells, _steepness(settings))
+    looks = collect(cells, _steepness(settings))
     if looks is None:
         return [_assembled(s, (), {}, {}) for s in cells]
     distances, volumes = distances_of(looks, survey, _steepness(settings), len(cells))
@@ -336,7 +336,7 @@ def _after_each(
         if rows.size:
             here = looks.cell[rows]
             total = Information(*(v[here] for v in state))
-            weight, mean, covariance = normalised(with_prior(total, prior))
+            weight, mean, covariance = moments(with_prior(total, prior))
             weight = weight - logsumexp(weight, axis=1, keepdims=True)
             result[int(k)] = (rows, weight, mean[..., :3], covariance[..., :3, :3])
     return result

@@ -84,7 +84,7 @@ def widened(factor: Information, sd: FloatArray) -> Information:
     return Information(level, linear, 0.5 * (precision + np.swapaxes(precision, -1, -2)))
 
 
-def normalised(factor: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
+def moments(factor: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Log of the integral (...), mean (..., D) and covariance (..., D, D) of each component."""
     covariance: FloatArray = np.asarray(np.linalg.inv(factor.precision), float)
     mean: FloatArray = np.einsum("...ij,...j->...i", covariance, factor.linear)

@@ -132,7 +132,7 @@ class Looks(NamedTuple):
         return Looks(factor=factor, law=law, **rest)
 
 
-def gather(
+def collect(
     cells: Sequence[Sequence[Summary | None]], steepness: tuple[float, float]
 ) -> Looks | None:
     """Collect the good looks at cells as arrays.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logsumexp
 
-from sasmap.ripples.information import Information, heaviest, multiplied, normalised
+from sasmap.ripples.information import Information, heaviest, moments, multiplied
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
@@ -342,7 +342,7 @@ def settled(total: Information, prior: Information) -> tuple[FloatArray, Informa
     level : ndarray (cells, at most MOST_KEPT)
     total : Information (cells, at most MOST_KEPT)
     """
-    level = normalised(with_prior(total, prior))[0]
+    level = moments(with_prior(total, prior))[0]
     kept = heaviest(total, level, MOST_KEPT)
     return heaviest(Information(level, total.linear, total.precision), level, MOST_KEPT).level, kept
 

@@ -45,11 +45,14 @@ class Cost(NamedTuple):
     ----------
     memory, disk : float
         Bytes, upper estimates.
+    per_worker : float
+        Bytes of the memory that each worker takes; the rest does not depend on their number.
     finished, looks : int
         Number of looks finished by an earlier run, and of all looks.
     """
 
     memory: float
+    per_worker: float
     disk: float
     finished: int
     looks: int
@@ -84,7 +87,7 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
         kept = survey.ripples is not None and plan.overlapping is None
         disk += KEPT * (looks - finished) * cell * kept
         disk += (MAKING + PRODUCTS) * grid
-    return Cost(memory, disk, finished, looks)
+    return Cost(memory, WORKING * cell, disk, finished, looks)
 
 
 def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
@@ -187,4 +190,6 @@ def describe_cost(plan: Plan, workers: int | None) -> Iterator[str]:
     span = low if low == high else f"{low} without ripples to {high} with ripples everywhere"
     first = "" if compiled() else ", and a minute to compile, once"
     yield f"time: about {span}, on {threads} threads{first}"
-    yield f"memory: about {size(cost.memory)}; disk: at most {size(cost.disk)}"
+    fixed = size(cost.memory - threads * cost.per_worker)
+    each = f"{fixed} and {size(cost.per_worker)} for each of {threads} threads"
+    yield f"memory: about {size(cost.memory)} ({each}); disk: at most {size(cost.disk)}"

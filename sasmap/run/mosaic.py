@@ -39,7 +39,7 @@ RECORD = "mosaic.json"
 COMPARED, LEAST = 48, 400
 
 
-class Ratio(NamedTuple):
+class GainRatio(NamedTuple):
     """Ratio of the gains of two swaths.
 
     Attributes
@@ -164,7 +164,7 @@ def swath_gains(
     for one in mapped(compare, some, workers):
         for a, b, ratio in one:
             found.setdefault((a, b), []).append(ratio)
-    ratios = [Ratio(a, b, float(np.median(v)), float(len(v))) for (a, b), v in found.items()]
+    ratios = [GainRatio(a, b, float(np.median(v)), float(len(v))) for (a, b), v in found.items()]
     return solve_gains(ratios, count)
 
 
@@ -184,12 +184,12 @@ def _log_ratio(first: NDArray[np.float32], second: NDArray[np.float32]) -> float
     return 0.5 * float(np.log(power[1] / power[0])) if min(power) > 0 else float("nan")
 
 
-def solve_gains(ratios: Sequence[Ratio], count: int) -> FloatArray:
+def solve_gains(ratios: Sequence[GainRatio], count: int) -> FloatArray:
     """Estimate gains from the ratios of pairs by weighted least squares.
 
     Parameters
     ----------
-    ratios : sequence of Ratio
+    ratios : sequence of GainRatio
     count : int
         Swaths.
 

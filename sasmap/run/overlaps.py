@@ -17,7 +17,7 @@ Part = tuple[slice, slice]
 T = TypeVar("T")
 
 
-class Shared(NamedTuple):
+class CommonPixels(NamedTuple):
     """Common pixels of a cell of the map and a cell of the ripple estimates.
 
     Attributes
@@ -33,7 +33,7 @@ class Shared(NamedTuple):
     there: Part
 
 
-def sharing(plan: Plan, cell: Place) -> Iterator[Shared]:
+def sharing(plan: Plan, cell: Place) -> Iterator[CommonPixels]:
     """Find the cells of the ripple estimates that share pixels with a cell of the map.
 
     Parameters
@@ -45,7 +45,7 @@ def sharing(plan: Plan, cell: Place) -> Iterator[Shared]:
 
     Yields
     ------
-    Shared
+    CommonPixels
         The cell itself where cells do not overlap.
     """
     grid, window = plan.ripples.opened.grid, plan.settings.window
@@ -53,7 +53,9 @@ def sharing(plan: Plan, cell: Place) -> Iterator[Shared]:
     along = [_common(place, window, step, n) for place, n in zip(cell, _shape(grid), strict=True)]
     for row, here_rows, there_rows in along[0]:
         for column, here_columns, there_columns in along[1]:
-            yield Shared((row, column), (here_rows, here_columns), (there_rows, there_columns))
+            yield CommonPixels(
+                (row, column), (here_rows, here_columns), (there_rows, there_columns)
+            )
 
 
 def _shape(grid: CellGrid) -> Place:

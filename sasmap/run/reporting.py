@@ -16,7 +16,7 @@ from sasmap.products.cell_values import ADVICE, MEANINGS
 from sasmap.products.colours import QUALITY_COLOURS, hexadecimal
 from sasmap.products.law_figure import law_figure
 from sasmap.products.maps import codes_of, map_of, overview
-from sasmap.products.qgis.styles import Names
+from sasmap.products.qgis.styles import Categories
 from sasmap.products.ranges import has_content
 from sasmap.products.report import write_report
 from sasmap.ripples.posterior import Quality
@@ -41,7 +41,7 @@ RIPPLE_MAPS = (
 )
 
 
-def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Path:
+def make_report(plan: Plan, store: Store, outcome: Outcome, names: Categories) -> Path:
     """Write report.html.
 
     Parameters
@@ -49,7 +49,7 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
     plan : Plan
     store : Store
     outcome : Outcome
-    names : Names
+    names : Categories
 
     Returns
     -------
@@ -200,7 +200,7 @@ def _meaning(outcome: Outcome, quality: Quality) -> str:
     return told or MEANINGS[quality]
 
 
-def _ripple_maps(store: Store, written: set[str], names: Names) -> Iterator[Any]:
+def _ripple_maps(store: Store, written: set[str], names: Categories) -> Iterator[Any]:
     for name in RIPPLE_MAPS:
         path = store.output / name
         if name in written and has_content(path):
@@ -234,7 +234,7 @@ def _convergence(outcome: Outcome) -> dict[str, Any] | None:
     return {"count": len(drawn), "rows": rows}
 
 
-def _classes(outcome: Outcome, names: Names) -> Iterator[dict[str, Any]]:
+def _classes(outcome: Outcome, names: Categories) -> Iterator[dict[str, Any]]:
     for c in outcome.sediments:
         law = c["law"] is not None  # objects have none
         yield {
@@ -249,7 +249,7 @@ def _classes(outcome: Outcome, names: Names) -> Iterator[dict[str, Any]]:
         }
 
 
-def _sediments(store: Store, outcome: Outcome, names: Names) -> dict[str, Any]:
+def _sediments(store: Store, outcome: Outcome, names: Categories) -> dict[str, Any]:
     path = store.output / "sediment_class.tif"
     if not has_content(path):
         return {}

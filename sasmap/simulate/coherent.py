@@ -22,7 +22,7 @@ from sasmap.simulate.facets import (
     sum_rows,
     take_pixels,
 )
-from sasmap.simulate.geometry import Line, track_line
+from sasmap.simulate.geometry import StraightTrack, track_line
 from sasmap.simulate.laws import backscatter
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
@@ -75,7 +75,7 @@ class _Pass(NamedTuple):
 
     scene: Scene
     floor: SeaFloor
-    line: Line
+    line: StraightTrack
     grid: _Grid
     slant: bool
     noise: float
@@ -162,7 +162,7 @@ def flat_intensity(
     return np.asarray(intensity / np.cos(grazing) if slant else intensity)
 
 
-def _grid(scene: Scene, scene_pass: ScenePass, line: Line) -> _Grid:
+def _grid(scene: Scene, scene_pass: ScenePass, line: StraightTrack) -> _Grid:
     pixel = scene_pass.pixel_size or scene.pixel_size
     corner = scene.origin[0] + 0.5 * pixel, scene.origin[1] + scene.size[1] - 0.5 * pixel
     view = line.see(*(np.array([v]) for v in corner))
@@ -179,7 +179,7 @@ def _scattered(scene: Scene, sediment: int, grazing: FloatArray) -> FloatArray:
     return np.asarray(backscatter(law, grazing) / backscatter(law, LEVEL_GRAZING))
 
 
-def _reference(scene: Scene, line: Line, slant: bool) -> float:
+def _reference(scene: Scene, line: StraightTrack, slant: bool) -> float:
     """Intensity of flat floor of the first sediment and level 1 at the scene's centre."""
     centre = line.see(*(np.array([v]) for v in scene.centre))
     grazing = np.arctan2(centre.altitude, centre.ground_range)

@@ -20,7 +20,7 @@ class View(NamedTuple):
     altitude: FloatArray
 
 
-class Line(NamedTuple):
+class StraightTrack(NamedTuple):
     """A pass's straight track, in map coordinates.
 
     Attributes
@@ -60,7 +60,7 @@ class Line(NamedTuple):
         )
 
 
-def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
+def track_line(scene: Scene, scene_pass: ScenePass) -> StraightTrack:
     """Place a pass's track so that the scene lies abeam of it.
 
     Parameters
@@ -70,7 +70,7 @@ def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
 
     Returns
     -------
-    Line
+    StraightTrack
     """
     heading = np.radians(scene_pass.heading)
     direction = np.array([np.sin(heading), np.cos(heading)])
@@ -80,4 +80,4 @@ def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
     abeam = np.array(scene.centre) - scene_pass.distance * look
     altitude = scene_pass.altitude
     both = altitude if isinstance(altitude, tuple) else (altitude, altitude)
-    return Line(abeam - half * direction, direction, look, 2 * half, both)
+    return StraightTrack(abeam - half * direction, direction, look, 2 * half, both)

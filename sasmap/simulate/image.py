@@ -15,7 +15,7 @@ from sasmap.ripples.scattering import (
     steepest,
 )
 from sasmap.simulate.coherent import coherent_amplitude
-from sasmap.simulate.geometry import Line, View, track_line
+from sasmap.simulate.geometry import StraightTrack, View, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
 
@@ -99,7 +99,7 @@ def _covered(
 def scattering(
     scene: Scene,
     floor: SeaFloor,
-    line: Line,
+    line: StraightTrack,
     x: FloatArray,
     y: FloatArray,
     view: View,
@@ -111,7 +111,7 @@ def scattering(
     ----------
     scene : Scene
     floor : SeaFloor
-    line : Line
+    line : StraightTrack
     x, y : ndarray
         Map coordinates, m.
     view : View
@@ -149,7 +149,7 @@ def scattering(
 def _shadow(
     scene: Scene,
     floor: SeaFloor,
-    line: Line,
+    line: StraightTrack,
     view: View,
     waves: Waves,
     phase: FloatArray,

@@ -42,7 +42,7 @@ FOUND = (0.7, 2.0)
 ERROR, ENOUGH, STRAIGHT = 0.15, 5, 0.35
 
 
-class Bend(NamedTuple):
+class RangeBend(NamedTuple):
     """Bend of the phase of the ripples in a window.
 
     Attributes
@@ -121,7 +121,7 @@ def _geometry(
     return seen.distance, seen.altitude
 
 
-def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend | None:
+def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> RangeBend | None:
     """Bend of the phase of a window's ripples over range; None without ripples along the look."""
     waves = _waves(tile, window)
     if waves is None:
@@ -147,7 +147,9 @@ def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend |
     if expected < LEAST_BEND**2:
         return None
     left = [-2 * np.log(_coherence(field * np.exp(-1j * phase))) for phase in phases]
-    return Bend(0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / max(left[0], 1e-9))
+    return RangeBend(
+        0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / max(left[0], 1e-9)
+    )
 
 
 def _bent(

@@ -10,7 +10,7 @@ import shapely
 
 from sasmap.numerics.threads import mapped
 from sasmap.survey.lattice import FloatArray, Window, bounding_window
-from sasmap.survey.tiles import Amplitude, Tile, gather
+from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 
 # Largest difference, dB, between overlapping tiles, and between the two sides of a seam, which are
 # not the same sea floor (choices: 1 dB of gain is 12 % of amplitude).
@@ -85,7 +85,7 @@ def _compare(pair: tuple[Tile, Tile]) -> str | None:
 def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:
     """Difference over the pixels that both show, and its limit."""
     for part in _pieces(_box(first, second, 0).intersect(first.window)):
-        a, b = (gather((tile,), first.lattice, part) for tile in (first, second))
+        a, b = (read_mosaic((tile,), first.lattice, part) for tile in (first, second))
         both = np.isfinite(a) & np.isfinite(b)
         if both.sum() >= LEAST:
             return _difference(a[both], b[both], OVERLAP_DB, "overlap")
@@ -98,7 +98,7 @@ def _meeting(first: Tile, second: Tile) -> tuple[float, float, str]:
     other = _box(second, first, STRIP).intersect(second.window)
     parts: list[FloatArray] = []
     for tile, box in ((first, one), (second, other)):
-        values = [gather((tile,), tile.lattice, part) for part in _pieces(box)]
+        values = [read_mosaic((tile,), tile.lattice, part) for part in _pieces(box)]
         known = [np.asarray(v[np.isfinite(v)], float) for v in values]
         parts.append(np.concatenate(known) if known else np.empty(0))
     if min(part.size for part in parts) < LEAST:

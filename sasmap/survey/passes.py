@@ -24,7 +24,7 @@ from sasmap.survey.lattice import (
     transform_points,
 )
 from sasmap.survey.navigation import Geometry, Track
-from sasmap.survey.tiles import Amplitude, Tile, gather
+from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 
 Side = Literal["port", "starboard"]
 # Pixels a side of the dask chunks of a lazy array: 8 MB of double precision.
@@ -193,7 +193,7 @@ def _extent(sonar_pass: SonarPass, lattice: Lattice) -> Window:
 
 def _lazy(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> xr.DataArray:
     chunks = da.core.normalize_chunks(CHUNK, (window.height, window.width), dtype=np.float64)
-    dtype = gather(sonar_pass.tiles, lattice, Window(0, 0, 0, 0)).dtype
+    dtype = read_mosaic(sonar_pass.tiles, lattice, Window(0, 0, 0, 0)).dtype
     names = ["ground_range", "altitude", "look_azimuth"]
     names += ["ground_x", "ground_y"] if sonar_pass.slant else []
     aligned = lattice.crs == crs and lattice.transform.b == lattice.transform.d == 0
@@ -206,7 +206,7 @@ def _lazy(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> 
     def pixels(block_info: Any = None) -> Amplitude:
         part = part_of(block_info)
         seen = view(sonar_pass, crs, lattice, part)
-        amplitude = gather(sonar_pass.tiles, lattice, part)
+        amplitude = read_mosaic(sonar_pass.tiles, lattice, part)
         amplitude[np.isnan(seen["ground_range"])] = np.nan
         return amplitude
 
@@ -317,7 +317,7 @@ def read_clip(
     main = max(tiles, key=area_of)
     lattice = clip_lattice(main, grid)
     window = window_on(lattice)
-    amplitude = gather(tiles, lattice, window)
+    amplitude = read_mosaic(tiles, lattice, window)
     if np.isnan(amplitude).all():
         return None
     seen = view(sonar_pass, grid.crs, lattice, window)

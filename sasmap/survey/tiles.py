@@ -346,7 +346,7 @@ def _where(window: Window) -> str:
     return f"{rows}, columns {window.column} to {window.column + window.width - 1}"
 
 
-def gather(tiles: tuple[Tile, ...], lattice: Lattice, window: Window) -> Amplitude:
+def read_mosaic(tiles: tuple[Tile, ...], lattice: Lattice, window: Window) -> Amplitude:
     """Copy tiles into a window of a lattice; where they overlap, the first valid pixel wins.
 
     Pixels are never interpolated, so that speckle keeps its statistics: a tile on the same lattice

@@ -13,7 +13,7 @@ import rasterio
 from sasmap.catalogue import BY_FILE, CATALOGUE, PROJECT, STYLES
 from sasmap.io.files import write_text
 from sasmap.products.qgis.layout import Sheet, add_layouts
-from sasmap.products.qgis.styles import Names, style_of
+from sasmap.products.qgis.styles import Categories, style_of
 from sasmap.products.qgis.xml import VERSION, child, options, spatial_reference, text_of
 
 
@@ -35,7 +35,7 @@ class Titles(NamedTuple):
 
 
 def write_styles(
-    folder: Path, products: Sequence[str], names: Names, titles: Titles, scratch: Path
+    folder: Path, products: Sequence[str], names: Categories, titles: Titles, scratch: Path
 ) -> list[Path]:
     """Write a .qml beside each layer that has content, and the project that loads them.
 
@@ -45,7 +45,7 @@ def write_styles(
         Of the products.
     products : sequence of str
         File names of those that the run wrote.
-    names : Names
+    names : Categories
     titles : Titles
     scratch : Path
 

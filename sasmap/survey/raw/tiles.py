@@ -48,7 +48,7 @@ CONTRADICTING = (0.85, 1.25)
 STEEP_PITCH = 14.0
 
 
-class Line(NamedTuple):
+class SurveyLine(NamedTuple):
     """A survey line of a recording: its smoothed pings and their indices."""
 
     name: str
@@ -117,7 +117,7 @@ def make_tiles(
     return [*written, output / "survey.yaml"], warnings
 
 
-def _altitude_sd(line: Line) -> float:
+def _altitude_sd(line: SurveyLine) -> float:
     """Return the standard deviation of altitude found in the water column, m."""
     return round(max(FOUND_SD, FOUND_SHARE * float(np.median(line.pings.altitude))), 2)
 
@@ -133,7 +133,7 @@ def _utm(recording: Recording) -> str:
     return f"EPSG:{(32600 if np.median(recording.latitude) >= 0 else 32700) + zone}"
 
 
-def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bool]:
+def _lines(recording: Recording, target: str) -> tuple[list[SurveyLine], list[str], bool]:
     """Smoothed survey lines of a recording, and whether altitude is from the water column."""
     move = pyproj.Transformer.from_crs("EPSG:4326", target, always_xy=True)
     x, y = move.transform(recording.longitude, recording.latitude)
@@ -174,7 +174,7 @@ def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bo
         smooth, odd = smooth_track(every.at(part))
         warnings += odd
         places = np.searchsorted(recording.number, smooth.rows)
-        lines.append(Line(f"line_{k}" if len(spans) > 1 else "line", smooth, places))
+        lines.append(SurveyLine(f"line_{k}" if len(spans) > 1 else "line", smooth, places))
     if not lines:
         raise InputError(f"{recording.path}: no two successive pings lie on a line")
     return lines, [*warnings, *gaps], found
@@ -196,7 +196,7 @@ def _contradicted(recording: Recording) -> list[str]:
 
 
 def _gridded(
-    recording: Recording, line: Line, side: str, samples: NDArray[Any], pixel: float
+    recording: Recording, line: SurveyLine, side: str, samples: NDArray[Any], pixel: float
 ) -> Iterator[tuple[str, NDArray[Any], Affine]]:
     """Tiles of one side by nearest neighbour; samples are not averaged."""
     pings = line.pings
@@ -234,7 +234,7 @@ def _frame(pings: Pings, reach: float, pixel: float) -> tuple[float, float, int,
 
 def _sampled(
     recording: Recording,
-    line: Line,
+    line: SurveyLine,
     side: str,
     samples: NDArray[Any],
     track: Track,
@@ -285,7 +285,7 @@ def _write(path: Path, values: NDArray[Any], transform: Affine, crs: str, scratc
         target.set_band_description(1, "amplitude")
 
 
-def _navigation(line: Line) -> str:
+def _navigation(line: SurveyLine) -> str:
     """Navigation as CSV."""
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")

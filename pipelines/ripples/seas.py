@@ -1,6 +1,6 @@
 """Beds with short crests, defects and several directions: found, and with which wavelength.
 
-    python pipelines/ripples/beds.py [--cells 40] [--size 300] [--first 0]
+    python pipelines/ripples/seas.py [--cells 40] [--size 300] [--first 0]
 
 Heights are Gaussian random seas with the spectra that surveyed dunes have (a band of wavelengths
 about a peak, directions spread about one or two), not sums of a phase: crests are short, fork and
