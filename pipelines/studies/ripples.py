@@ -1,4 +1,4 @@
-"""Error against run time: sasmap's ripple estimate beside other ways to the same numbers.
+"""Error against run time: sasmap's ripple estimate beside other methods.
 
     python pipelines/studies/ripples.py [--quick] [--clips 20] [--output docs/studies]
 
@@ -37,7 +37,7 @@ import matplotlib.pyplot as plt
 SIZE, ALTITUDE, PIXEL = 500, 4.83, 0.0244
 RANGES = {"near": 5.0, "middle": 18.0, "far": 31.0}
 BOUNDS = ((0.2, 1.2), (0.01, 0.15))
-# What is wanted of an RMSE, over the truth.
+# Goals for the RMSE over the truth.
 GOALS = (("f 1 %", 0, 0.01), ("f 0.1 %", 0, 0.001), ("A_H 10 %", 1, 0.1), ("A_H 1 %", 1, 0.01))
 
 
@@ -50,7 +50,7 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a method gave: means, 90 % intervals (or None), seconds, ESS of f."""
+    """Result of a method: means, 90 % intervals (or None), seconds, ESS of f."""
 
     mean: tuple[float, float]
     interval: tuple[tuple[float, float], tuple[float, float]] | None

@@ -1,4 +1,4 @@
-"""Version against version: sasmap 0.1 and today's on the same coherent cells.
+"""Versions compared: sasmap 0.1 and the present one on the same coherent cells.
 
     python pipelines/studies/versions.py [--quick] [--cells 100] [--against COMMIT]
 
