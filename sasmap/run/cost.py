@@ -29,8 +29,9 @@ FOUND, MAPPED, LAID, FIXED = 8e-7, 5e-7, 5e-7, 8.0
 # less than half a minute (a choice).
 TIMED, SHARE, ENOUGH = 8, 3, 15.0
 # Bytes of the process with its libraries, per pixel of a cell being processed, and per pixel of the
-# sediment sample: resident memory, measured on 25 Mpx of one pass (998 MB with one thread).
-BASE, WORKING, SAMPLED = 400e6, 300.0, 200.0
+# sediment sample: resident memory, measured on 25 Mpx of one pass (998 MB with one thread); and per
+# look with its task, which are held until the second stage (docs/scale.md).
+BASE, WORKING, SAMPLED, HELD = 400e6, 300.0, 200.0, 22e3
 # Bytes on disk: of a look at a cell with its figure; per pixel for the sediment map, the modelled
 # image and the ripples' extent; of temporary maps, and of products; of the mosaic, temporary files
 # included (from the formats' sizes, uncompressed).
@@ -76,7 +77,7 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
     looks = sum(len(k) for k in plan.ripples.cells.values())
     cell = survey.window**2
     finished = finished_looks(plan.ripples, Store(survey.output_folder)) if survey.ripples else 0
-    memory = BASE + WORKING * cell * threads
+    memory = BASE + WORKING * cell * threads + HELD * looks
     grid = plan.opened.grid.rows * plan.opened.grid.columns * cell
     disk = float(MOSAIC * grid)
     if survey.ripples is not None:
