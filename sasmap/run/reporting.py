@@ -21,8 +21,8 @@ from sasmap.products.ranges import has_content
 from sasmap.products.report import write_report
 from sasmap.ripples.posterior import Quality
 from sasmap.run.answers import answers, ripple_words
+from sasmap.run.cell_details import cell_details
 from sasmap.run.class_models import law_of
-from sasmap.run.closely import cells_closely
 from sasmap.run.manifest import Outcome, left_out_counts, versions
 from sasmap.run.plan import Plan, dates_of
 from sasmap.run.store import Store, code_version
@@ -72,7 +72,7 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Categories) -
         "law": law_figure(outcome.survey, grazing_of(outcome)),
         "migration": list(_migration(plan, outcome)),
         "growth": growth_figure(list(outcome.fused.values()), [s.label for s in plan.swaths]),
-        "cells": list(cells_closely(plan, store, outcome)),
+        "cells": list(cell_details(plan, store, outcome)),
         "convergence": _convergence(outcome),
         "sediment_map": None,
         "classes": list(_classes(outcome, names)),
@@ -121,7 +121,7 @@ def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
         yield (
             f"{swath.label}: crests lie {np.median(moved):+.3f} m from those of the first pass "
             f"(median of {len(found)} cells; modulo a wavelength"
-            f"{', registration removed' if any(shift) else ''}); {clear} of them significantly, "
+            f"{', registration removed' if any(shift) else ''}); in {clear} of them significantly, "
             f"if the passes are registered to {REGISTERED:g} m."
         )
 

@@ -20,15 +20,15 @@ from sasmap.errors import InputError
 from sasmap.numerics.threads import mapped
 from sasmap.settings.survey import PassSettings, Survey
 from sasmap.survey.cells import CellGrid, check_grid_crs, lay_grid
-from sasmap.survey.chirp import check_ripples
 from sasmap.survey.contents import look_into
 from sasmap.survey.gains import compare_gains
 from sasmap.survey.navigation import read_navigation
 from sasmap.survey.passes import Side, SonarPass, open_lazily
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
-from sasmap.survey.seen import assign_tiles, check_altitude, left_out, shows_floor
 from sasmap.survey.tiles import Tile, find_tiles, inspect_tile, near_miss
-from sasmap.survey.water import check_column
+from sasmap.survey.visibility import assign_tiles, check_altitude, left_out, shows_floor
+from sasmap.survey.water_column import check_column
+from sasmap.survey.wavelength_trend import check_ripples
 
 T = TypeVar("T")
 

@@ -296,7 +296,7 @@ def test_a_smaller_scene_leaves_no_tiles_of_the_larger_one(tmp_path):
 
 def test_a_pass_that_sees_nothing_is_refused(tmp_path):
     scene = scene_of(passes=one_pass(area=[[50, 50], [60, 50], [60, 60]]))
-    with pytest.raises(InputError, match="sees nothing"):
+    with pytest.raises(InputError, match="does not see"):
         simulate(scene, tmp_path)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sasmap.survey.lattice import FloatArray, Window, transform_points
 from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
-from sasmap.survey.water import LARGEST
+from sasmap.survey.water_column import LARGEST
 
 # Pixels a side of the examined windows (a usual cell), most windows, pixels that are averaged
 # first, and least valid share of a window.

@@ -29,7 +29,7 @@ FLAGGED = (
 MOST_FLAGGED = 2
 
 
-def cells_closely(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[str, Any]]:
+def cell_details(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[str, Any]]:
     """Yield text and figure of some cells.
 
     Parameters
