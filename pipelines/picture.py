@@ -1,4 +1,4 @@
-"""The README's picture: the page that QGIS prints of the sample survey.
+"""The README's picture: the print layout of the sample survey's QGIS project.
 
     python3 pipelines/picture.py [--project sample_data/out/survey.qgs] [--picture docs/sample.png]
 

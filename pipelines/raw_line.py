@@ -1,4 +1,4 @@
-"""From a raw line to tiles: a worked example of what sasmap needs to be given.
+"""From a raw line to tiles: a worked example of preparing sasmap's input.
 
     python pipelines/raw_line.py --output DIR && sasmap run DIR/survey.yaml
 

@@ -1,7 +1,8 @@
-"""The catalogue of products: what a run leaves in its output folder, each described once.
+"""The catalogue of products: every file that a run writes, described once.
 
 File names, band descriptions, styles, the QGIS project, the report, the STAC item and
-docs/products.md are made from it. A new product of a number a cell is one entry here and one writer
+docs/products.md are made from it. A new product with one number per cell takes an entry here and a
+writer
 in ``sasmap/products/cell_values.py``.
 """
 
@@ -15,14 +16,14 @@ Stage = Literal["ripples", "sediments", "run"]
 
 
 class Ramp(NamedTuple):
-    """How numbers are coloured.
+    """How values are mapped to colours.
 
     Attributes
     ----------
     name : str
-        Of matplotlib's colour map.
+        Name of the matplotlib colour map.
     limits : tuple of float or None
-        Values of the first and last colour; None for those of the data, which then span at least
+        Values at the first and last colour; None for the range of the data, widened to at least
         the measured uncertainty.
     """
 
@@ -47,21 +48,21 @@ class Product(NamedTuple):
     stage : str
         The stage that writes it: ripples, sediments, or run.
     kind : str
-        Raster of numbers or codes with a pixel a cell (``cells``, ``cell codes``) or at full
+        Raster of numbers or codes with one pixel per cell (``cells``, ``cell codes``) or at full
         resolution (``pixels``, ``pixel codes``), ``polygons``, ``lines``, or another ``file``.
     title : str
-        What a map layer of it is called.
+        Name of its map layer.
     sentence : str
         What it holds.
     bands : tuple of Band
     ramp : Ramp or None
         Of the first band of rasters of numbers.
     symbol : str
-        Of the quantity, as the report writes it.
+        Symbol of the quantity, as the report writes it.
     shown : bool
-        Whether the QGIS project shows it at first.
+        Whether its layer is switched on in the QGIS project.
     opacity : float
-        In the QGIS project.
+        Of its layer in the QGIS project.
     """
 
     file: str
@@ -83,7 +84,7 @@ class Product(NamedTuple):
 
     @property
     def layer(self) -> bool:
-        """Whether it is a layer of a map."""
+        """Whether it is a map layer."""
         return self.kind != "file"
 
     @property
@@ -93,12 +94,12 @@ class Product(NamedTuple):
 
     @property
     def style(self) -> str:
-        """Name of its QGIS style."""
+        """File name of its QGIS style."""
         return self.file.rpartition(".")[0] + ".qml"
 
     @property
     def table(self) -> str:
-        """Name of a GeoPackage's layer."""
+        """Layer name in the GeoPackage."""
         return self.file.rpartition(".")[0].removeprefix("sediment_").removeprefix("ripple_")
 
 
@@ -119,15 +120,15 @@ LOG, MANIFEST, PROJECT, REPORT, ITEM = (
 )
 PROBABILITY = Ramp("cividis", (0.0, 1.0))
 
-# In the order of a map's layers, from the topmost.
+# In the order of the map's layers, topmost first.
 CATALOGUE = (
     Product(
         "sediment_boundaries.gpkg",
         "sediments",
         "lines",
         "Sediment boundaries",
-        "Lines between two classes, refined by maximum likelihood: classes on the left and right, "
-        "and how well the position is known (`position_sd`, m).",
+        "Class boundaries, refined by maximum likelihood: classes on the left and right, "
+        "and standard deviation of the position (`position_sd`, m).",
         shown=True,
     ),
     Product(
@@ -135,7 +136,7 @@ CATALOGUE = (
         "ripples",
         "polygons",
         "Ripples",
-        "A polygon a cell with every ripple quantity, its standard deviation and quantiles, the "
+        "One polygon per cell: every ripple quantity with standard deviation and quantiles, the "
         "azimuth, the quality code and its reason in words, and the passes used.",
         ramp=Ramp("plasma"),
         shown=True,
@@ -145,7 +146,7 @@ CATALOGUE = (
         "ripples",
         "polygons",
         "Rippled sea floor",
-        "Outlines of the rippled sea floor, traced at pixels, across cells: `area` (m²) and "
+        "Outlines of the rippled sea floor, traced pixel by pixel across cells: `area` (m²) and "
         "`wavelength` (m).",
         shown=True,
     ),
@@ -236,7 +237,7 @@ CATALOGUE = (
         "ripples",
         "cell codes",
         "Passes used",
-        "Number of passes that stand for the cell's values.",
+        "Number of passes that the cell's values are estimated from.",
         (Band("number of passes used", "1"),),
         Ramp("viridis"),
     ),
@@ -245,16 +246,16 @@ CATALOGUE = (
         "sediments",
         "polygons",
         "Sediment areas",
-        "Polygons of the sediments that meet exactly: `class`, `name`, `code`, `area_m2`, mean "
-        "`confidence`, and whether most of it is `rippled`.",
+        "Polygons of the sediments, without gaps or overlaps: `class`, `name`, `code`, `area_m2`, "
+        "mean `confidence`, and whether most of it is `rippled`.",
     ),
     Product(
         "sediment_class.tif",
         "sediments",
         "pixel codes",
         "Sediments",
-        "Class of each pixel, by rising intensity or in the order of the survey file, with colours "
-        "and names. Objects (wrecks, boulders) bear the last number; shadow and water column "
+        "Class of each pixel, numbered by rising intensity or as in the survey file, with colours "
+        "and names. Objects (wrecks, boulders) have the last number; shadow and water column "
         "belong to no class.",
         (Band("sediment class", ""),),
         shown=True,
@@ -265,7 +266,7 @@ CATALOGUE = (
         "sediments",
         "pixels",
         "Probability of the class",
-        "Probability of the class that is shown, pixel by pixel.",
+        "Probability of the mapped class at each pixel.",
         (Band("probability of the class", "1"),),
         PROBABILITY,
     ),
@@ -274,7 +275,7 @@ CATALOGUE = (
         "ripples",
         "pixels",
         "Modelled amplitude",
-        "With `keep_model: true`: the image that the estimate stands for, to lay beside the tile.",
+        "With `keep_model: true`: the image predicted by the estimate, to compare with the tile.",
         (Band("modelled amplitude, posterior mean", ""),),
         Ramp("gray"),
     ),
@@ -283,7 +284,7 @@ CATALOGUE = (
         "run",
         "pixels",
         "Sonar mosaic",
-        "The amplitude that was looked at, all passes on one grid, gains made to meet; the first "
+        "The amplitude of all passes on one grid, with their gains matched; the first "
         "pass of the survey file lies on top.",
         (Band("amplitude, linear, in units of the first pass", ""),),
         Ramp("gray"),
@@ -301,8 +302,8 @@ CATALOGUE = (
         "ripples",
         "file",
         "Ripples by pass and cell",
-        "Everything per pass and cell (NetCDF, CF-1.11): what was known before the pass, by it "
-        "alone and after it, convergence, scattering law, crest profile, what was left out; and "
+        "Everything per pass and cell (NetCDF, CF-1.11): estimates before the pass, from the pass "
+        "alone and after it, convergence, scattering law, crest profile, skipped steps; and "
         "the combined value of each quantity.",
     ),
     Product(
@@ -310,7 +311,7 @@ CATALOGUE = (
         "sediments",
         "file",
         "Fitted classes",
-        "The fitted classes, for another survey to take over (`model`).",
+        "The fitted classes, for use in another survey (`model`).",
     ),
     Product(
         PROJECT,
@@ -325,7 +326,7 @@ CATALOGUE = (
         "run",
         "file",
         "Report",
-        "One page to read and print: the map, the numbers, some cells closely, what was left out "
+        "One page to read and print: the map, the numbers, some cells in detail, what was left out "
         "and why.",
     ),
     Product(ITEM, "run", "file", "STAC item", "Entry for a STAC catalogue."),
@@ -337,7 +338,7 @@ CATALOGUE = (
         "Versions, settings, input hashes, counts, classes, failures, what was left out, seconds "
         "by stage.",
     ),
-    Product(LOG, "run", "file", "Log", "What was said, and when."),
+    Product(LOG, "run", "file", "Log", "Log of the run with times."),
 )
 BY_FILE = {product.file: product for product in CATALOGUE}
 
@@ -357,5 +358,5 @@ def _names_of(stage: Stage) -> Iterator[str]:
 
 RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS = files_of("ripples"), files_of("sediments")
 STYLES = tuple(product.style for product in CATALOGUE if product.layer)
-# All that a run may write.
+# All files that a run may write.
 PRODUCTS = frozenset({*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS, *files_of("run"), *STYLES})

@@ -18,13 +18,13 @@ from sasmap.run.wording import duration
 from sasmap.settings.survey import load_survey, survey_schema
 from sasmap.version import VERSION
 
-# Cells whose pace tells the time left.
+# Finished cells from whose rate the remaining time is estimated (a choice: seconds to minutes).
 LATEST = 32
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a verb and return the exit status.
+    """Run a subcommand and return the exit status.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_survey_verbs(verbs: Any) -> None:
-    """Add what takes a survey file: run and plan."""
+    """Add the subcommands that take a survey file: run and plan."""
     run = verbs.add_parser(
         "run",
         help="run a survey",
@@ -74,14 +74,14 @@ def _add_survey_verbs(verbs: Any) -> None:
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
     where.add_argument("--scheduler", metavar="ADDRESS", help="dask.distributed scheduler to use")
-    run.add_argument("--restart", action="store_true", help="forget finished cells first")
-    run.add_argument("--quiet", action="store_true", help="say nothing unless something is wrong")
+    run.add_argument("--restart", action="store_true", help="discard finished cells first")
+    run.add_argument("--quiet", action="store_true", help="print only warnings and errors")
     run.set_defaults(call=_run)
 
     plan = verbs.add_parser(
         "plan",
-        help="tell what would run; writes nothing",
-        description="Tell what would run, and what is left out. Example: sasmap plan survey.yaml",
+        help="show what would run; writes nothing",
+        description="Show what would run, and what is left out. Example: sasmap plan survey.yaml",
     )
     plan.add_argument("survey", type=Path, help="survey file")
     plan.add_argument("--output", type=Path, metavar="DIR", help="folder of the products")
@@ -90,7 +90,7 @@ def _add_survey_verbs(verbs: Any) -> None:
 
 
 def _add_other_verbs(verbs: Any) -> None:
-    """Add what makes surveys, and what helps to write them."""
+    """Add the subcommands that make surveys or help to write them."""
     simulate = verbs.add_parser(
         "simulate",
         help="simulate a survey with known truth",
@@ -172,13 +172,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _repeat(warnings: Sequence[str]) -> None:
-    """Say warnings once more at the end, where nobody scrolls past them."""
+    """Repeat the warnings at the end, where they are not scrolled past."""
     if not warnings:
         return
     count = len(warnings)
     print(
         f"sasmap: {count} warning{'s' if count > 1 else ''}: results may be wrong until "
-        f"{'these are' if count > 1 else 'this is'} looked at:",
+        f"{'these are' if count > 1 else 'this is'} checked:",
         file=sys.stderr,
     )
     for line in warnings:
@@ -186,7 +186,7 @@ def _repeat(warnings: Sequence[str]) -> None:
 
 
 def _readable(line: str) -> str:
-    """Return a line that any terminal can show."""
+    """Escape what a terminal cannot show."""
     return line.encode("utf-8", "backslashreplace").decode()
 
 
@@ -230,7 +230,7 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _log(quiet: bool) -> None:
-    """Say what is logged; the log file in the output folder always has all of it."""
+    """Print what is logged; the log file in the output folder always has all of it."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))
     handler.setLevel(logging.WARNING if quiet else logging.INFO)
@@ -247,10 +247,10 @@ def _completion(options: argparse.Namespace) -> int:
 
 
 class _Progress:
-    """A bar on a terminal, a line every tenth elsewhere: cells done, rate, time left.
+    """A progress bar on a terminal, ten lines elsewhere: cells done, rate, time left.
 
-    Times are of the last cells alone: the first wait for compilation, and those that an earlier run
-    finished take none.
+    The rate is that of the last cells: the first ones wait for compilation, and those that an
+    earlier run finished take no time.
     """
 
     def __init__(self) -> None:
@@ -286,7 +286,7 @@ def _terminated(*_: object) -> None:
 
 
 def console() -> None:
-    """Run as a command; an interrupt does not wait for cells in work, which are not kept."""
+    """Run as a command; an interrupt does not wait for unfinished cells, which are discarded."""
     signal.signal(signal.SIGTERM, _terminated)  # of a batch system: ends as an interrupt does
     status = main()
     if status == INTERRUPTED:

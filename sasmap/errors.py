@@ -1,4 +1,4 @@
-"""What is wrong with an input, told in one line a fault."""
+"""Errors in the input, one line per fault."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class InputError(ValueError):
 
 
 def fault_of(error: BaseException) -> str:
-    """Tell an exception in one line."""
+    """Describe an exception in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def check_file(path: Path, expected: str, most: int) -> None:
-    """Check that an input is a regular file of no more than some bytes.
+    """Check that an input is a regular file of at most some number of bytes.
 
     Parameters
     ----------
     path : Path
     expected : str
-        What is wanted, for the message.
+        What kind of file is expected, for the message.
     most : int
         Bytes.
 

@@ -1,14 +1,14 @@
-"""Simulation-based calibration: whether intervals of f, A_H and azimuth mean what they say.
+"""Simulation-based calibration of the intervals of f, A_H and azimuth.
 
     python pipelines/ripples/calibration.py [--draws 400] [--workers 2]
 
 Every clip is drawn from the default model itself (Talts et al. 2018): height, scattering law, crest
-profile, noise, blur and altitude from their priors, and what the model counts as its own error too
+profile, noise, blur and altitude from their priors, and the errors that the model allows for
 (the law's departure from its family, the profile's third harmonic, errors that pixels of a
 wavelength share). A clip holds 6 to 12 straight wavelengths of 16 to 60 pixels, seen at 5 to 50 m.
 Ranks are of the truth among the draws; the band is that of the ECDF of as many uniform ranks.
-Clips whose ripple is not found drop out: what is left depends on the image alone, so that intervals
-have to hold there too.
+Clips whose ripple is not detected are left out: the selection depends on the image alone, so that
+intervals must be calibrated on the others.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ALTITUDE_SD = 0.02
 
 
 class Case(NamedTuple):
-    """What one clip came to: ranks (0 to 1) of the truth, standardised errors, and quality."""
+    """Result of a clip: ranks (0 to 1) of the truth, standardised errors, and quality."""
 
     ranks: np.ndarray
     errors: np.ndarray

@@ -1,11 +1,11 @@
-"""Heights on sea floors that the estimator was not built with: coherent facets, unknown laws.
+"""Heights on sea floors of the coherent simulator, with laws outside the estimator's family.
 
     python pipelines/ripples/coherent.py [--cells 300] [--workers 2] [--csv FILE]
 
 Draws cells of every kind (five scattering laws, three profiles, straight, wandering and forked
 crests, ranges 4 to 45 m, altitudes 3 to 10 m, A_H 0.02 to 0.1 m, looks up to 60 degrees off the
-crest normal, images as received and with the range trend taken off), renders each with the coherent
-simulator, estimates it with default settings and prints what became of f and A_H.
+crest normal, images as received and with the range trend removed), renders each with the coherent
+simulator, estimates it with default settings and prints coverage and errors of f and A_H.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def report(rows: list[dict[str, Any]]) -> None:
     print(f"found {len(found)} of {len(enough)} with four wavelengths or more")
     seconds = column(rows, "seconds")
     late = np.quantile(seconds, 0.9)
-    print(f"seconds a cell: median {np.median(seconds):.2f}, 90 % below {late:.2f}")
+    print(f"seconds per cell: median {np.median(seconds):.2f}, 90 % below {late:.2f}")
     names = "50 %  90 %  error  sure    n far"
     print(f"{'':28s}            f: {names}   A_H: {names}")
     describe("all good cells", good)

@@ -1,4 +1,4 @@
-"""Stiff and extreme clips and priors: what the default method makes of them.
+"""The default method on stiff and extreme clips and priors.
 
     python pipelines/ripples/extremes.py
 

@@ -1,4 +1,4 @@
-"""Several passes over a cell: table 4 of Zare and Cobb, four headings, contradictions, rescue.
+"""Several passes over a cell: table 4 of Zare and Cobb, four headings, contradictions, altitude.
 
     python pipelines/ripples/passes.py [--runs 50] [--surveys 4] [--cells 9] [--published]
         [--cache FOLDER]
@@ -8,8 +8,8 @@ Headings: surveys of one law each (Lambert's, one of the fitted family, and two 
 cell with ripples of its own, Stokes-shaped and with wandering crests, rendered by the coherent
 simulator for four passes at four headings; then one pass of a cell over another sea floor (f 20 %,
 A_H 30 %, azimuth 15 degrees off), and one pass whose altitude is 3 % wrong. With a cache the looks
-are estimated once and kept there. Rescue: a near pass that casts no shadow and tells A_H badly
-beside a far one that casts some, in both orders.
+are estimated once and stored there. Rescue: a near pass without shadow, which determines A_H
+poorly, and a far one with shadow, in both orders.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Cell(NamedTuple):
     """A cell's true values, the summary of each pass, and what one pass saw of another sea floor.
 
     `others` has the second pass over a floor that is changed in one way (:data:`CHANGES`), and the
-    third with an altitude that the navigation tells 3 % too low.
+    third with an altitude that is 3 % too low in the navigation.
     """
 
     truth: tuple[float, float, float]
@@ -164,7 +164,7 @@ def cell(job: tuple[int, int], cache: Path | None) -> Cell:
 
 
 def headings(surveys: list[list[Cell]]) -> None:
-    """Print how knowledge grows over four passes, coverage and the effect of order."""
+    """Print the errors after each of four passes, coverage and the effect of order."""
     settings = RippleSettings()
     cells = [c for survey in surveys for c in survey]
     models = [learn_survey([c.summaries for c in survey], settings) for survey in surveys]
@@ -193,7 +193,7 @@ def headings(surveys: list[list[Cell]]) -> None:
             f"90 % intervals cover {cover[0]:.0f} {cover[1]:.0f}   ({len(pairs)} cells)"
         )
     honest = [c.quality == Quality.CONTRADICTION for c in chains if c.group]
-    print(f"  honest cells flagged as contradiction: {sum(honest)} of {len(honest)}")
+    print(f"  consistent cells flagged as contradiction: {sum(honest)} of {len(honest)}")
     shifts = [_shift(survey, model) for survey, model in zip(surveys, models, strict=True)]
     print(f"  order: means move by {max(shifts):.1e} posterior sd at most")
 
@@ -221,7 +221,7 @@ def false_passes(surveys: list[list[Cell]]) -> None:
 
 
 def wrong_altitude(surveys: list[list[Cell]]) -> None:
-    """Print what becomes of an altitude that is told 3 % too low in one of three passes."""
+    """Print the estimate of an altitude that is 3 % too low in one of three passes."""
     for number, survey in enumerate(surveys):
         looks = [[c.summaries[0], c.summaries[1], c.others["altitude"]] for c in survey]
         model = learn_survey(looks, RippleSettings())
@@ -234,7 +234,7 @@ def wrong_altitude(surveys: list[list[Cell]]) -> None:
         ]
         altitude = scene_of(number, 0).passes[2].altitude
         print(
-            f"  altitude told {100 * (1 - WRONG_ALTITUDE):.0f} % too low in the third pass: "
+            f"  altitude {100 * (1 - WRONG_ALTITUDE):.0f} % too low in the third pass: "
             f"{(1 - WRONG_ALTITUDE) * altitude:.2f} m, found "
             f"{offsets[:, 2].mean():.2f} +- {offsets[:, 2].std():.2f} m; "
             f"A_H in {sum(inside)} of {len(inside)} intervals"
@@ -271,7 +271,7 @@ def rescue_run(seed: int) -> list[FusedCell]:
 
 
 def rescue(runs: int, pool: ProcessPoolExecutor) -> None:
-    """Print what the second pass makes of A_H."""
+    """Print A_H after each pass."""
     found = list(pool.map(rescue_run, range(runs)))
     print("rescue: A_H, rms error and sd (m) after each pass")
     for i, name in enumerate(("near, then far", "far, then near")):

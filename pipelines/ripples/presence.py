@@ -1,10 +1,10 @@
-"""Presence of ripples: false alarms on many kinds of flat floor, detection of weak and forked ones.
+"""Detection of ripples: false alarms on many kinds of flat floor, weak and forked ripples.
 
     python pipelines/ripples/presence.py [--clips 600] [--first 0] [--kinds rayleigh,k_law,...]
 
 Each kind of flat floor (floors.py) is simulated that many times, in turn as received, display-
 scaled to 8 bits and JPEG-compressed, at windows from 128 to 500 pixels; at most one in 10 000 may
-be taken for rippled. Ripples must be found in 99 % (contrast 0.1 over 8 wavelengths), 95 % (0.2
+be a false alarm. Ripples must be found in 99 % (contrast 0.1 over 8 wavelengths), 95 % (0.2
 over 4) and 90 % (forks, crossing sets). Contrast is peak to mean of the noiseless intensity.
 """
 
@@ -43,7 +43,7 @@ def simulated(seed: int, kind: str) -> Clip:
 
 
 def one(seed: int, kind: str) -> tuple[float, float]:
-    """Probability that a clip of a kind is rippled (0 where it cannot tell), and seconds."""
+    """Probability that a clip of a kind is rippled (0 where inconclusive), and seconds."""
     clip = simulated(seed, kind)
     start = time.perf_counter()
     found = find_waves(as_image(clip), (0.05, 5.0))

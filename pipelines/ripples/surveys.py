@@ -4,10 +4,10 @@
         [--cache FOLDER]
 
 Each survey has one scattering law, of the fitted family or outside it, rendered by the coherent
-simulator. Some of its cells lie so far out that ripples cast shadow, the others do not. Every cell
-is estimated by itself; then the law is learned from all of them. Prints coverage and error of A_H
-before and after, for cells with shadow and without. With a cache the looks are estimated once and
-kept there, so that the second stage can be studied again in seconds.
+simulator. Ripples cast shadow in its far cells, and not in the others. Every cell is estimated
+alone; then the law is estimated from all of them. Prints coverage and error of A_H before and
+after, for cells with shadow and without. With a cache the looks are estimated once and stored
+there, so that the second stage can be studied again in seconds.
 """
 
 from __future__ import annotations
@@ -84,12 +84,12 @@ def one(job: tuple[int, int, bool], law: Any, size: int, cache: Path | None) -> 
 
 
 def covers(low: float, high: float, truth: float) -> bool:
-    """Whether an interval holds the truth."""
+    """Whether an interval contains the truth."""
     return low <= truth <= high
 
 
 def describe(title: str, rows: list[dict[str, Any]]) -> None:
-    """Print coverage and error before and after the survey was heard."""
+    """Print coverage and error before and after the second stage."""
     if not rows:
         return
     parts = [f"{title:34s} {len(rows):4d}"]
@@ -127,7 +127,7 @@ def run(
         rows.append(row)
     quantiles = survey.quantiles()
     print(
-        f"survey {seed}: law {law}; learned n, c:",
+        f"survey {seed}: law {law}; estimated n, c:",
         np.round(quantiles["law"], 2).tolist(),
         "spread",
         np.round(quantiles["spread"][1], 2).tolist(),

@@ -1,4 +1,4 @@
-"""One bed cut into cells of several sizes, which should not show in f and A_H.
+"""One bed cut into cells of several sizes: f and A_H should not depend on the size.
 
     python pipelines/ripples/windows.py [--size 1000] [--windows 500,333,250,160] [--seed 1]
 
@@ -44,7 +44,7 @@ def estimated(clip: Clip, window: int, seed: int) -> list[FusedCell]:
 
 
 def main() -> None:
-    """Print a line a window."""
+    """Print one line per window."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, default=1000, help="pixels a side of the bed")
     parser.add_argument("--windows", default="500,333,250,160")

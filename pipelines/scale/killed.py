@@ -3,8 +3,8 @@
     python pipelines/scale/killed.py [--times 100] [--workers 2]
 
 A small survey (ripples, sediments, modelled amplitude) is run once. Then, so many times, a run in
-an empty folder is killed (SIGKILL) after a random time, every product that it left under its final
-name is compared with the finished one, and the run is resumed to its end and compared again.
+an empty folder is killed (SIGKILL) after a random time, every product under its final name is
+compared with the finished one, and the run is resumed to its end and compared again.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def command(survey: Path, output: Path) -> list[str]:
 
 
 def killed_once(survey: Path, wanted: dict[str, bytes], longest: float, seed: int) -> str:
-    """Kill and resume a run; returns what went wrong, or nothing."""
+    """Kill and resume a run; return a fault, or nothing."""
     delay = random.Random(seed).uniform(0.0, longest)
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "out"

@@ -29,7 +29,7 @@ HEADING, LEFT_OUT = 343.0, 6.0
 
 
 def upright(data: Path) -> NDArray[np.uint16]:
-    """Scotsman line with the track up, both sides; 0 where nothing is known."""
+    """Scotsman line with the track up, both sides; 0 where there is no data."""
     sides = []
     for name in ("port", "starboard"):
         with rasterio.open(data / f"scotsman/{name}.tif") as source:
@@ -69,7 +69,7 @@ def quilt(data: Path, side: int) -> NDArray[np.uint16]:
     height, width = pieces[0].shape
     rows = []
     for _ in range(-(-side // height)):
-        # larger patches than one snippet: beds are not as small as that
+        # larger patches than one snippet: real beds are larger
         chosen = [pieces[random.integers(4)] for _ in range(-(-side // (2 * width)))]
         flips = [p[:: random.choice((1, -1)), :: random.choice((1, -1))] for p in chosen]
         rows.append(np.hstack([np.hstack([p, p[:, ::-1]]) for p in flips])[:, :side])

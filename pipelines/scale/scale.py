@@ -1,12 +1,12 @@
-"""Seconds and memory of whole runs, over pixels, workers, passes and kinds of crests.
+"""Seconds and memory of whole runs, by pixels, workers, passes and kind of crests.
 
     python pipelines/scale/scale.py --folder DIR [--megapixels 25 100] [--rows ...]
 
 Simulates `scene.yaml` (whole: 100 Mpx, 400 cells) or its lower left part, once or as four passes,
-with straight or bent crests; runs each in a process of its own and tells wall-clock seconds by
-stage, CPU seconds, pixels per second and core, and the peak memory. `control` runs two
-processes of one worker side by side: as much as this machine can gain from two. `gdal` reads and
-rewrites the same tiles.
+with straight or bent crests; runs each in a process of its own and prints wall-clock seconds by
+stage, CPU seconds, pixels per second and core, and peak memory. `control` runs two processes of one
+worker side by side: the largest gain from two on this machine. `gdal` reads and rewrites the same
+tiles.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import os
 import resource
 import shutil
 import subprocess
@@ -33,6 +32,15 @@ from sasmap.cli import main as sasmap
 
 HERE = Path(__file__).resolve().parent
 ROWS = ("straight", "bent", "passes", "one worker", "control", "gdal")
+# Runs a command and prints its peak memory (kB) and CPU seconds. From a small process: Linux counts
+# the memory of the process that starts another one as that one's peak.
+LAUNCHER = """
+import resource, subprocess, sys
+status = subprocess.run(sys.argv[1:]).returncode
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_maxrss, used.ru_utime + used.ru_stime)
+sys.exit(status)
+"""
 
 
 def scene_of(megapixels: float, bent: bool, passes: int) -> dict[str, Any]:
@@ -67,20 +75,21 @@ def survey_in(folder: Path, scene: dict[str, Any]) -> Path:
 
 
 def run(survey: Path, output: Path, workers: int) -> dict[str, Any]:
-    """Run a survey in a process of its own; what it took."""
+    """Run a survey in a process of its own; return times, memory and cells."""
     shutil.rmtree(output, ignore_errors=True)
     command = [sys.executable, "-m", "sasmap.cli", "run", str(survey), "--output", str(output)]
+    command = [sys.executable, "-c", LAUNCHER, *command, "--quiet", "--workers", str(workers)]
     start = time.perf_counter()
-    process = subprocess.Popen([*command, "--quiet", "--workers", str(workers)])
-    _, status, usage = os.wait4(process.pid, 0)
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     seconds = time.perf_counter() - start
+    memory, cpu = (float(v) for v in done.stdout.splitlines()[-1].split())
     manifest = json.loads((output / "run.json").read_text(encoding="utf-8"))
     shutil.rmtree(output)
     return {
-        "status": os.waitstatus_to_exitcode(status),
+        "status": done.returncode,
         "seconds": seconds,
-        "cpu": usage.ru_utime + usage.ru_stime,
-        "memory_MB": usage.ru_maxrss / 1000,
+        "cpu": cpu,
+        "memory_MB": memory / 1000,
         "stages": manifest["seconds"],
         "cells": manifest["cells_by_quality"],
         "classes": len(manifest["sediment_classes"]),
@@ -129,7 +138,7 @@ def _control(survey: Path, folder: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure and tell."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--megapixels", type=float, nargs="*", default=[25.0])

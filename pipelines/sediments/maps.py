@@ -1,10 +1,10 @@
-"""Sediment maps: number of classes, agreement, boundary errors beside peers, G's experiment.
+"""Sediment maps: number of classes, agreement, boundary errors, other methods, G's experiment.
 
     python pipelines/sediments/maps.py [--scenes 20] [--images 100]
 
 Classes: scenes of one to five sediments seen by two looks with a gain step and range trends.
 Boundaries: wavy, closed and three-class scenes of 0.12 to 0.17 nats a pixel; mean distance to the
-true boundary of the class map's lines, of the refined ones, and of peers that are fed the same log
+true boundary of the class map's lines, of the refined ones, and of other methods on the same log
 likelihood ratios (two classes); share of nodes within their stated 95 % interval. G's experiment: a
 boundary between K textures, row by row (mean error in pixels along the row) and by nodes.
 """
@@ -238,7 +238,7 @@ def rows_of(seed: int, rows: int = 200, columns: int = 300) -> list[float]:
 
 
 def breakpoint_of(row: np.ndarray) -> int:
-    """Where ruptures parts a row of log likelihood ratios in two."""
+    """Position at which ruptures splits a row of log likelihood ratios."""
     return int(ruptures.Binseg(model="l2", min_size=5, jump=1).fit(row).predict(n_bkps=1)[0])
 
 

@@ -2,9 +2,8 @@
 
     python pipelines/sediments/windows.py --output DIR [--windows 500 333 250 200 125] [--ripples]
 
-The map should not know the cells. Runs the sample's sediments at each window, with ripples
-estimated as well where asked, and prints classes, adjusted Rand index and the share of the floor
-that is mapped.
+The map should not depend on the cells. Runs the sample's sediments at each window, on request with
+ripples, and prints classes, adjusted Rand index and the mapped share of the floor.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ def judged(folder: Path) -> tuple[int, float, float]:
 
 
 def main() -> None:
-    """Run and tell."""
+    """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--windows", type=int, nargs="*", default=[500, 333, 250, 200, 125])

@@ -1,11 +1,11 @@
-"""Foreign beds: floors that are not sines, rendered by the coherent simulator.
+"""Independent beds: floors that are not sines, rendered by the coherent simulator.
 
     python pipelines/studies/beds.py [--quick] [--each 6] [--workers 1] [--output docs/studies]
 
 Needs pybedforms (``pip install -e '.[studies]'``). Five of Rubin's bedforms by pybedforms (USGS
 Bedforms 4.0 in Python, written by others), random seas by spectrum, ripple fields with defects (a
 Gaussian field's phase, after Tang et al. 2009), triangular profiles and large ripples with small
-ones on them; nowhere steeper than sand lies. The truth is measured from the heights themselves: f
+ones on them; nowhere steeper than the angle of repose. The truth is measured from the heights: f
 at the peak of the bed's spectrum, A_H as half of the median height from trough to crest of its
 waves; the significant height (mean of the highest third) is kept beside it. Five scattering laws in
 turn, 4 to 35 m of range, looks up to 40 degrees off the crest normal, 500 x 500 pixels of 2.5 cm.
@@ -187,7 +187,7 @@ def height_of(
     extent = size * grid.step
     off_look = np.radians(rng.uniform(-40, 40))
     frequency = rng.uniform(8.5, 13) / extent / np.cos(off_look)
-    # median steepness from trough to crest 0.05 to 0.14: wave ripples are 0.1 to 0.2
+    # median steepness from trough to crest 0.05 to 0.14: wave ripples have 0.1 to 0.2
     wanted = rng.uniform(0.05, 0.14) / frequency
     kx, ky = frequency * np.cos(off_look), frequency * np.sin(off_look)
     u = kx * grid.x + ky * grid.y[:, None]

@@ -1,4 +1,4 @@
-"""Foreign echoes: heights on images that a simulator of raw data by others has made.
+"""Independent echoes: heights on images from the raw data of another simulator.
 
     python pipelines/studies/echoes.py [--quick] [--scenes 18] [--first 0] [--images DIR]
 
@@ -6,11 +6,11 @@ Needs openstb-simulator (``pip install -e '.[studies]'``). Rippled floors of 5 r
 scatterers a pixel, 250 x 250 pixels of 5 cm, at least 8 wavelengths; three scattering laws
 (Lambert's; the sine of the grazing angle; sin^1.5 with a specular peak, which is outside of the
 estimator's family), two headings of the track over the bed, three ranges, sine, pointed and
-asymmetric crests, straight or wandering; lines of sight decide what is seen. openstb-simulator
-gives the receiver's raw data, ``rawdata.py`` compresses and backprojects them, and sasmap estimates
-each image by itself with default settings, told nothing but pixels and geometry. Noise is 25 dB
-below the image's mean intensity. A scene takes one to two minutes of one core. Kept are the seeds
-and the estimates (echoes.csv), not the raw data.
+asymmetric crests, straight or wandering; shadow by line of sight. openstb-simulator gives the
+receiver's raw data, ``rawdata.py`` compresses and backprojects them, and sasmap estimates each
+image alone with default settings, from pixels and geometry only. Noise is 25 dB below the image's
+mean intensity. A scene takes one to two minutes of one core. Kept are the seeds and the estimates
+(echoes.csv), not the raw data.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Bed(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What a scene is of."""
+    """Parameters of a scene."""
 
     bed: Bed
     law: str

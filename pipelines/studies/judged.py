@@ -1,4 +1,4 @@
-"""One estimate beside the truth, and the table that several make: what the judges share."""
+"""One estimate beside the truth, and tables of several: common parts of the studies."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def write_rows(path: Path, rows: list[Row]) -> None:
 
 
 def is_good(row: Row) -> bool:
-    """Whether a row's estimate is offered for use."""
+    """Whether a row's estimate is good."""
     return bool(row["quality"] == Quality.GOOD.label)
 
 

@@ -1,12 +1,12 @@
-"""What leaving out saves: scenes that need nothing, one thing, all.
+"""Time saved by skipped steps: scenes that need none, one or all of them.
 
     python pipelines/studies/leaving_out.py [--quick] [--clips 20] [--output docs/studies]
 
-sasmap leaves out what a scene does not need and says so (``left_out``). Cells of 500 x 500 pixels
-by the coherent simulator, Lambert's law: flat; straight ripples that can cast no shadow; with
-shadow; with shadow and bent crests. Each is estimated as it is, then with the law told, and with
-the modelled image kept as well: seconds, what was left out, error and width of the 90 % interval of
-A_H. Then what the survey's second stage costs with one pass and with four, and the sediment map for
+sasmap skips steps that a scene does not need and records them (``left_out``). Cells of 500 x 500
+pixels by the coherent simulator, Lambert's law: flat; straight ripples that cannot cast shadow;
+with shadow; with shadow and bent crests. Each is estimated by default, then with the law fixed, and
+with the modelled image kept as well: seconds, skipped steps, error and width of the 90 % interval
+of A_H. Then the cost of the second stage with one pass and with four, and of the sediment map for
 one sediment, for four, and for two that differ by texture alone. Writes leaving_out.md.
 """
 

@@ -1,4 +1,4 @@
-"""Images of a sea floor by way of raw data: openstb-simulator's echoes, our own beamformer.
+"""Images of a sea floor from raw data: echoes of openstb-simulator, own beamformer.
 
 The sea floor is a cloud of point scatterers. openstb-simulator (a point-target simulator of raw
 receiver data, written by others) turns it into what a sonar's receiver records, ping by ping;

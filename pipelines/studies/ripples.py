@@ -1,4 +1,4 @@
-"""Error against run time: sasmap's ripple estimate beside other ways to the same numbers.
+"""Error against run time: sasmap's ripple estimate beside other methods.
 
     python pipelines/studies/ripples.py [--quick] [--clips 20] [--output docs/studies]
 
@@ -10,7 +10,7 @@ the pixels; seconds are wall clock on one core. Writes ripples.csv, ripples.md a
 
 Methods: the FFT start alone; the published sampler, on row means and (same numbers, timed on few
 clips) as published on all pixels; a brute-force grid posterior; emcee; differential evolution with
-restarts; sasmap's default method at budgets of 100 to 4000 draws a chain, told the scattering law
+restarts; sasmap's default method at budgets of 100 to 4000 draws per chain, told the scattering law
 and (as by default) not told it. Grid, emcee and differential evolution use the speckle likelihood
 of row means, exact for straight crests, and are told the law.
 """
@@ -37,7 +37,7 @@ import matplotlib.pyplot as plt
 SIZE, ALTITUDE, PIXEL = 500, 4.83, 0.0244
 RANGES = {"near": 5.0, "middle": 18.0, "far": 31.0}
 BOUNDS = ((0.2, 1.2), (0.01, 0.15))
-# What is wanted of an RMSE, over the truth.
+# Goals for the RMSE over the truth.
 GOALS = (("f 1 %", 0, 0.01), ("f 0.1 %", 0, 0.001), ("A_H 10 %", 1, 0.1), ("A_H 1 %", 1, 0.01))
 
 
@@ -50,7 +50,7 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a method gave: means, 90 % intervals (or None), seconds, ESS of f."""
+    """Result of a method: means, 90 % intervals (or None), seconds, ESS of f."""
 
     mean: tuple[float, float]
     interval: tuple[tuple[float, float], tuple[float, float]] | None
@@ -230,7 +230,7 @@ def hammer(case: Case, seed: int, steps: int = 3000) -> Found:
 
 
 def default(draws: int, scattering: str) -> Callable[[Case, int], Found]:
-    """Return the default method with so many draws a chain at most."""
+    """Return the default method with so many draws per chain at most."""
     settings = RippleSettings(
         shadow="crest", draws=draws, frequency=(0.05, 5), scattering=scattering
     )

@@ -2,7 +2,7 @@
 
     python pipelines/studies/stability.py [--quick] [--output docs/studies]
 
-One line each: what was asked of it, over what, the worst error found and where. Writes
+One line each: function, range of arguments, worst error and where. Writes
 stability.md. Parts of the engine are called as its tests call them (tests/ripples/engine.py).
 `pipelines/ripples/extremes.py` and `pipelines/sediments/laws.py` hold the longer lists.
 """

@@ -1,4 +1,4 @@
-"""Version against version: sasmap 0.1 and today's on the same coherent cells.
+"""Versions compared: sasmap 0.1 and the present one on the same coherent cells.
 
     python pipelines/studies/versions.py [--quick] [--cells 100] [--against COMMIT]
 
@@ -92,7 +92,7 @@ def main() -> None:
     print_table(rows, ("version",))
     for version in dict.fromkeys(row["version"] for row in rows):
         seconds = values([row for row in rows if row["version"] == version], "seconds")
-        print(f"seconds a cell, {version}: median {np.median(seconds):.2f}")
+        print(f"seconds per cell, {version}: median {np.median(seconds):.2f}")
 
 
 if __name__ == "__main__":

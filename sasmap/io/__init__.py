@@ -1,1 +1,1 @@
-"""Safe files: written whole or not at all, rasters in the making, the formats of the products."""
+"""Files: atomic writes, rasters built piece by piece, the formats of the products."""

@@ -1,4 +1,4 @@
-"""Rasters in the making: on disk, read and written by slices, so that memory does not grow."""
+"""Temporary rasters on disk, read and written by slices, so that memory stays bounded."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 class Canvas:
     """A raster of zeros on disk whose slices are arrays; threads and processes may share it.
 
-    It lies in square blocks, so that a slice takes a few reads, not one a row. Its file is opened
-    for each slice: on a network's file system that is when others' writing is seen. Pickled, it is
-    the same raster where the same folder is seen.
+    It is stored in square blocks, so that a slice takes a few reads, not one per row. Its file is
+    opened for each slice, because a network file system shows what others wrote on opening. A
+    pickled canvas is the same raster wherever the same folder is visible.
 
     Parameters
     ----------
     path : Path
-        Of the file, which lasts until the canvas is closed.
+        Of the file, which is removed when the canvas is closed.
     shape : tuple of int
         Rows and columns.
     dtype : str
@@ -60,7 +60,7 @@ class Canvas:
         self.close()
 
     def close(self) -> None:
-        """Forget the raster."""
+        """Remove the raster."""
         self._path.unlink(missing_ok=True)
 
     def _box(self, part: Any) -> tuple[int, int, int, int]:
@@ -70,7 +70,7 @@ class Canvas:
         return top, max(bottom, top), left, max(right, left)
 
     def _parts(self, box: tuple[int, int, int, int]) -> Iterator[tuple[int, slice, slice]]:
-        """Blocks that a box meets: number, and rows and columns of the map in each."""
+        """Blocks that a box meets: number, and rows and columns of the raster in each."""
         top, bottom, left, right = box
         size = self._block
         for i in range(top // size, -(-bottom // size)):

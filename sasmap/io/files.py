@@ -1,4 +1,4 @@
-"""Files that appear under their final name only when they are complete."""
+"""Atomic writes: files appear under their final name only when they are complete."""
 
 from __future__ import annotations
 

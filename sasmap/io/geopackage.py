@@ -1,4 +1,4 @@
-"""GeoPackages, written byte for byte the same for the same features."""
+"""GeoPackages: the same features give the same bytes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sasmap.io.files import written_whole
 
 FloatArray = NDArray[np.float64]
 
-# The date that GDAL would write is fixed, so that bytes are a function of the features alone.
+# The date that GDAL would write is fixed, so that the bytes depend on the features alone.
 DATE = "2000-01-01T00:00:00.000Z"
 
 
@@ -28,7 +28,7 @@ class Feature(NamedTuple):
     points : ndarray (n, 2)
         Map coordinates, m.
     left, right : str
-        Names of the classes left and right of the way.
+        Names of the classes to the left and right along the line.
     position_sd : float
         m.
     """
@@ -152,7 +152,7 @@ def write_layer(
         Where the file cannot be written.
     """
     with written_whole(path, scratch) as part:
-        draft = part.with_suffix(".gpkg")  # GDAL warns of other names
+        draft = part.with_suffix(".gpkg")  # GDAL warns about other names
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": DATE})
         try:
             pyogrio.raw.write(
@@ -164,7 +164,7 @@ def write_layer(
                 layer=layer,
                 geometry_type=kind,
                 crs=crs,
-                dataset_options={"VERSION": "1.2"},  # which all readers know
+                dataset_options={"VERSION": "1.2"},  # which all readers support
             )
         except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
             draft.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from sasmap.io.files import write_text
 
 
 def write_json(path: Path, content: Any, scratch: Path) -> None:
-    """Write a JSON file whole; numbers that are none become null.
+    """Write a JSON file atomically; NaN and infinities become null.
 
     Parameters
     ----------

@@ -17,13 +17,13 @@ from rasterio.windows import Window
 
 from sasmap.io.files import write_text, written_whole
 
-# Rows of pixels that are written at once, and GDAL's cache, MB.
+# Rows of pixels written at once, and GDAL's cache, MB: what bounds memory (a choice).
 STRIPE, CACHE = 512, 64
 
 
 @dataclass(frozen=True)
 class Category:
-    """A value of a class raster: what it is called and how it is drawn."""
+    """A value of a class raster: its name and colour."""
 
     name: str
     colour: tuple[int, int, int, int]
@@ -31,7 +31,7 @@ class Category:
 
 @dataclass(frozen=True)
 class Layer:
-    """What a raster holds, apart from where it lies.
+    """Contents of a raster, without its georeference.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def write_cog(
     }
     with written_whole(path, scratch) as part:
         try:
-            # GDAL's auxiliary XML would bear the unfinished file's name
+            # GDAL's auxiliary XML would have the unfinished file's name
             with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.open(part, "w", **profile) as target:
                 target.write(values.astype(layer.dtype))
                 _describe(target, layer)
@@ -162,7 +162,7 @@ def _profile(
 
 
 def _overviews(layer: Layer) -> dict[str, Any]:
-    # threads change no byte: blocks are compressed one by one
+    # threads do not change the bytes: blocks are compressed one by one
     return {
         "overview_resampling": "nearest" if layer.categories else "average",
         "num_threads": "all_cpus",
@@ -181,7 +181,7 @@ def _describe(target: Any, layer: Layer) -> None:
 
 
 def _category_names(layer: Layer) -> str:
-    """Category names as GDAL reads them; a GeoTIFF itself has no place for them."""
+    """Category names as GDAL reads them; a GeoTIFF itself cannot hold them."""
     names = [
         layer.categories[value].name if value in layer.categories else ""
         for value in range(max(layer.categories) + 1)

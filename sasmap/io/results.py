@@ -16,7 +16,7 @@ from sasmap.errors import InputError
 
 
 class Run(NamedTuple):
-    """What a run found.
+    """Results of a run.
 
     Attributes
     ----------
@@ -24,7 +24,8 @@ class Run(NamedTuple):
         Of ``ripples.nc``: for each quantity its combined value (statistic, y, x), and everything
         per pass (pass, y, x); empty where the survey has no ripples block.
     areas : DataFrame
-        Sediment areas, a row a polygon with its ``geometry`` (shapely); without them a row a class.
+        Sediment areas, one row per polygon with its ``geometry`` (shapely); otherwise one row
+        per class.
     record : dict
         ``run.json``.
     """
@@ -49,7 +50,7 @@ def open_run(folder: str | Path) -> Run:
     Raises
     ------
     InputError
-        Where the folder holds no run, or a product of it cannot be read.
+        Where the folder holds no run, or one of its products cannot be read.
 
     Examples
     --------

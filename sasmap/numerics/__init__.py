@@ -1,1 +1,1 @@
-"""Numerical tools that ripples and sediments share: numbers only, no files and no maps."""
+"""Numerical tools shared by ripples and sediments: arrays only, no files and no maps."""

@@ -1,4 +1,4 @@
-"""Mixtures of Gaussians and their fit by expectation and maximisation."""
+"""Gaussian mixtures and their fit by expectation-maximisation."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ class Mixture(NamedTuple):
 def expectation_maximisation(
     points: FloatArray, share: FloatArray, floor: FloatArray, rounds: int, enough: float
 ) -> tuple[Mixture, FloatArray, float]:
-    """Fit a mixture to points, from a first guess of which belong to which component.
+    """Fit a mixture to points, starting from responsibilities.
 
     Parameters
     ----------
     points : ndarray (n, size)
     share : ndarray (n, components)
-        Of each point in each component.
+        Responsibility of each component for each point.
     floor : ndarray (size,)
         Added to the variances of components.
     rounds : int
-        At most.
+        Largest number of iterations.
     enough : float
-        Gain in mean log likelihood at which the fit ends.
+        Gain in mean log likelihood below which the fit ends.
 
     Returns
     -------
     mixture : Mixture
     share : ndarray (n, components)
     level : float
-        Mean log likelihood of a point.
+        Mean log likelihood per point.
     """
     mixture = _maximised(points, share, floor)
     level = -np.inf
@@ -72,7 +72,7 @@ def _maximised(points: FloatArray, share: FloatArray, floor: FloatArray) -> Mixt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _shares(density):  # type: ignore[no-untyped-def]
-    """Turn log densities into shares, in place; return the mean log likelihood."""
+    """Turn log densities into responsibilities, in place; return the mean log likelihood."""
     n, components = density.shape
     total = 0.0
     for i in range(n):
@@ -88,7 +88,7 @@ def _shares(density):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _spreads(points, share, mean):  # type: ignore[no-untyped-def]
-    """Sum of squared offsets from each component's mean (components, size, size)."""
+    """Weighted scatter matrices about each component's mean (components, size, size)."""
     n, components = share.shape
     size = points.shape[1]
     result = np.zeros((components, size, size))
@@ -108,7 +108,7 @@ def _spreads(points, share, mean):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_squares(points, mean, inverse, result):  # type: ignore[no-untyped-def]
-    """Fill squared distances of points (n, size) from components, in their widths (n, components).
+    """Fill in squared Mahalanobis distances (n, components) of points (n, size).
 
     `inverse` holds the inverses of the Cholesky factors of their covariances.
     """
@@ -125,7 +125,7 @@ def fill_squares(points, mean, inverse, result):  # type: ignore[no-untyped-def]
 
 
 def log_densities(points: FloatArray, mixture: Mixture) -> FloatArray:
-    """Log of weight times density of each component.
+    """Log of weight times density, for each component.
 
     Parameters
     ----------

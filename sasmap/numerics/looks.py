@@ -1,7 +1,7 @@
-"""How many independent samples correlated, textured speckle is worth.
+"""Effective number of independent samples in correlated, textured speckle.
 
-Both estimates are of one quantity, the spectrum of the relative intensity over that of independent
-speckle: at a wave's own wave number, for what is fitted to the wave, and towards zero, for
+Both functions estimate one quantity, the spectrum of the relative intensity over that of
+independent speckle: at the wave number of a ripple, for fits to the ripple, and towards zero, for
 averages over an area.
 """
 
@@ -13,14 +13,15 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 FloatArray = NDArray[np.float64]
 
-# Bounds of the factor: averaging over two looks, and texture stronger than any that was recorded.
+# Bounds of the factor: two looks averaged give 0.5; no recorded texture came near the upper one.
 NOISE_BOUNDS = (0.5, 50.0)
-# Cosine of the angle to the wave beyond which the residual is speckle alone.
+# Cosine of the angle to the ripple's wave vector beyond which the residual is speckle alone (37
+# degrees: beyond the spread of crests that wander).
 BESIDE = 0.8
 
 
 def effective_samples(amplitude: ArrayLike) -> float:
-    """Independent samples that an image of correlated speckle is worth.
+    """Effective number of independent samples in an image of correlated speckle.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ def effective_samples(amplitude: ArrayLike) -> float:
     Returns
     -------
     float
-        Pixels over the sum of the intensity's autocorrelation, as far as that stands out of chance.
+        Pixels over the sum of the intensity's autocorrelation, as far as it is significant.
     """
     image = np.asarray(amplitude, float)
     known = np.isfinite(image)
@@ -52,17 +53,17 @@ def effective_samples(amplitude: ArrayLike) -> float:
 
 
 def noise_factor(ratio: FloatArray, wave: FloatArray) -> float:
-    """Variance of the speckle around the ripple's wave number over that of independent speckle.
+    """Speckle variance around the ripple's wave number over that of independent speckle.
 
     Correlated pixels and texture raise the spectrum of the residual there; averaging of looks
-    lowers it. A geometric mean over the ring about the wave number, other lines left out by it.
+    lowers it. The mean over the ring about the wave number is geometric, which suppresses lines.
 
     Parameters
     ----------
     ratio : ndarray (rows, columns)
-        Intensity over what is expected of it; 0 where there is none.
+        Intensity over its expectation; 0 where there is none.
     wave : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
@@ -77,7 +78,7 @@ def noise_factor(ratio: FloatArray, wave: FloatArray) -> float:
     rows, columns = ratio.shape
     radius = np.hypot(np.fft.rfftfreq(columns), np.fft.fftfreq(rows)[:, None])
     number = np.hypot(per_column, per_row)
-    # beside the wave's own direction, where a misfit of the model has its power
+    # away from the wave's direction, where a misfit of the model has its power
     along = np.fft.rfftfreq(columns) * per_column + np.fft.fftfreq(rows)[:, None] * per_row
     beside = np.abs(along) < BESIDE * number * radius
     ring = (radius > 0.6 * number) & (radius < 1.6 * number) & beside

@@ -1,4 +1,4 @@
-"""Work in threads that an interrupt or a fault ends at once, or wherever else it is spread."""
+"""Ordered parallel map over threads, or over whatever else spreads the work."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-# Threads (None for one a core), or a function that spreads work elsewhere and yields in order.
+# Threads (None for one per core), or a function that spreads work elsewhere and yields in order.
 Workers = int | None | Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 
 def mapped(function: Callable[[T], R], items: Iterable[T], workers: Workers) -> Iterator[R]:
-    """Yield what a function gives for each item, in order; little more than `workers` wait.
+    """Yield a function's result for each item, in order; an interrupt or a fault ends all threads.
 
     Parameters
     ----------
     function : callable
     items : iterable
     workers : int, None or callable
-        Threads; None for one a core. Or called with the function and the items.
+        Threads; None for one per core. A callable is called with the function and the items.
 
     Yields
     ------

@@ -1,1 +1,1 @@
-"""What a run leaves behind: rasters, tables, the run's own record."""
+"""What a run writes: rasters, vectors, tables, QGIS project, report."""

@@ -1,4 +1,4 @@
-"""Pictures of cells, of what passes add, and of the laws of sediments."""
+"""Figures of cells, of the gain from each pass, and of the sediments' amplitude laws."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from sasmap.products.figures import INK, Picture, encoded, plain, scale_bar
 from sasmap.ripples.fusion import FusedCell
 from sasmap.sediments.fitting import Law
 
-# Names of passes that stand side by side under a figure, at most.
+# Most pass names that fit side by side under a figure.
 FEW = 3
-# Quantile of the clip's amplitudes that is drawn white, and colour of the arrow along the look.
+# Quantile of the clip's amplitudes that is drawn white (speckle has a long tail), and colour of the
+# arrow along the look.
 BRIGHT, LOOK = 0.97, "#ffd166"
 
 
 class CellPicture(NamedTuple):
-    """What a look shows of a cell, north up.
+    """Images and draws of one look at a cell, north up.
 
     Attributes
     ----------
     clip : ndarray (rows, columns)
         Amplitude on the cell's own pixels, NaN where there is none.
     model : ndarray (rows, columns) or None
-        Posterior-mean amplitude, perhaps on fewer pixels.
+        Posterior-mean amplitude, possibly on fewer pixels.
     frequency, height : ndarray (chain, draw)
         Draws, thinned; empty where nothing was sampled.
     size : float
@@ -60,7 +61,7 @@ def cell_figure(cell: CellPicture, fused: FusedCell, swaths: Sequence[str]) -> s
     Returns
     -------
     str
-        Data address.
+        Data URL.
     """
     drawn = cell.frequency.size > 0
     figure = Figure(figsize=(7.4, 6.2 if drawn else 3.6), layout="constrained")
@@ -104,7 +105,7 @@ def _image(axes: Axes, cell: CellPicture, image: NDArray[Any], top: float, title
 
 
 def _growth(axes: Axes, fused: FusedCell, swaths: Sequence[str]) -> None:
-    """Intervals of f and A_H after each pass, over the last mean."""
+    """Intervals of f and A_H after each pass, relative to the final mean."""
     final = fused.final.mean
     for i, (name, colour) in enumerate((("f", "#0072b2"), ("A_H", "#d55e00"))):
         known = [k for k, p in enumerate(fused.posteriors) if np.isfinite(p.mean[i])]
@@ -130,12 +131,12 @@ def growth_figure(cells: Sequence[FusedCell], swaths: Sequence[str]) -> Picture 
     ----------
     cells : sequence of FusedCell
     swaths : sequence of str
-        Labels, in their order.
+        Labels, in order.
 
     Returns
     -------
     Picture or None
-        None where no cell is known from two passes.
+        None where no cell was estimated from two passes.
     """
     several = [c for c in cells if len(c.group) > 1]
     if not several:
@@ -160,8 +161,8 @@ def growth_figure(cells: Sequence[FusedCell], swaths: Sequence[str]) -> Picture 
     axes.legend(fontsize=8)
     count = len(several)
     caption = (
-        f"What each pass adds: median standard deviation over the {count} cells that several "
-        "passes tell of, after each pass in the survey file's order."
+        f"Gain from each pass: median standard deviation over the {count} cells that several "
+        "passes show, after each pass in the survey file's order."
     )
     return Picture(encoded(figure), caption)
 
@@ -179,7 +180,7 @@ def class_figure(
         Of each class: ``edges`` and ``counts``.
     laws : sequence of Law
     names : mapping of int to (str, colour)
-        From number 1.
+        By class number, from 1.
 
     Returns
     -------
@@ -196,9 +197,9 @@ def class_figure(
         axes.stairs(density, edges, fill=True, color=np.array(colour) / 255, alpha=0.7)
         x = np.linspace(edges[0], edges[-1], 300)[1:]
         axes.plot(x, np.exp(law.log_density(x)), color="black", lw=1)
-        plain(axes, "amplitude, flattened", "density", f"{name}: {law.family.replace('_', ' ')}")
+        plain(axes, "amplitude, gain removed", "density", f"{name}: {law.family.replace('_', ' ')}")
     caption = (
-        "Amplitudes of each class on the map, with gain and trend over range taken off, and the "
+        "Amplitudes of each class on the map, with gain and range trend removed, and the "
         "law fitted to them."
     )
     return Picture(encoded(figure), caption)

@@ -1,4 +1,4 @@
-"""What the products say of a cell: one function a quantity."""
+"""Values of a cell as the products show them: one function per quantity."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.fusion import CellEstimate, FusedCell
+from sasmap.ripples.cell_estimate import CellEstimate
+from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.summary import Summary
 
 STATISTICS = ("mean", "sd", "q05", "q95")
-# Of products that are a number with its statistics: file and name of the attribute.
+# Products that hold a quantity with its statistics: file and name of the attribute.
 QUANTITIES = {
     "ripple_wavelength.tif": "wavelength",
     "ripple_crest_to_trough.tif": "crest_to_trough",
@@ -22,7 +23,7 @@ QUANTITIES = {
     "ripple_height.tif": "height",
 }
 
-# m: the finest that a label on a map tells.
+# Finest step of a label on a map, m.
 MILLIMETRE = 1e-3
 
 Cells = Mapping[tuple[int, int], Sequence[Summary | None]]
@@ -30,12 +31,12 @@ FusedCells = Mapping[tuple[int, int], FusedCell]
 
 
 class CellResult(NamedTuple):
-    """A cell with all that is known of it.
+    """A cell with its looks and their combination.
 
     Attributes
     ----------
     summaries : sequence of Summary or None
-        One a swath, None where it does not show the cell.
+        One per swath, None where it does not show the cell.
     fused : FusedCell
     passes : sequence of str
         Name of the pass of each swath.
@@ -47,7 +48,7 @@ class CellResult(NamedTuple):
 
     @property
     def used(self) -> list[str]:
-        """Passes that stand for the cell, in their order."""
+        """Passes that the cell's values are estimated from, in order."""
         return list(dict.fromkeys(self.passes[k] for k in self.fused.group))
 
 
@@ -76,14 +77,14 @@ def statistics(estimate: CellEstimate, quantity: str) -> tuple[float, ...]:
 
 
 def cell_probability(summaries: Sequence[Summary | None], fused: FusedCell) -> float:
-    """Probability that a cell is rippled: the largest of the looks that stand for it, or of all."""
+    """Probability that a cell is rippled: the largest of the looks used for it, or of all."""
     group = [summaries[k] for k in fused.group] or summaries
     known = [s.probability for s in group if s is not None and np.isfinite(s.probability)]
     return max(known, default=float("nan"))
 
 
-# The bands of each raster with a pixel a cell, by file: a new product of the catalogue needs a line
-# here.
+# The bands of each raster with one pixel per cell, by file: a new product of the catalogue needs a
+# line here.
 VALUES: dict[str, Callable[[CellResult], Sequence[float]]] = {
     **{
         file: lambda cell, name=name: statistics(cell.fused.final, name)  # type: ignore[misc]
@@ -99,7 +100,7 @@ VALUES: dict[str, Callable[[CellResult], Sequence[float]]] = {
 def cell_results(
     cells: Cells, fused: FusedCells, passes: Sequence[str]
 ) -> dict[tuple[int, int], CellResult]:
-    """Put together what is known of each cell.
+    """Collect looks and their combination for each cell.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def cell_results(
 def raster(
     file: str, results: Mapping[tuple[int, int], CellResult], bands: int, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """Lay a product's values on the grid.
+    """Write a product's values onto the grid.
 
     Parameters
     ----------
@@ -140,15 +141,15 @@ def raster(
     return values
 
 
-# What a quality code says of a cell, and what can be done about it.
+# Meaning of each quality code, and what to do about it.
 MEANINGS = {
     Quality.NO_DATA: "no pass shows the cell",
     Quality.GOOD: "ripples, with a converged estimate",
-    Quality.NO_RIPPLES: "looked at, and no ripples found",
+    Quality.NO_RIPPLES: "examined, and no ripples found",
     Quality.NOT_CONVERGED: "ripples, but the Markov chains did not agree",
-    Quality.CONTRADICTION: "the passes give values that no common ripple explains",
-    Quality.NOT_IDENTIFIABLE: "the look runs along the crests, or a wavelength has too few pixels "
-    "or does not fit into the cell",
+    Quality.CONTRADICTION: "the passes give values that cannot belong to the same ripples",
+    Quality.NOT_IDENTIFIABLE: "the sonar looks along the crests, or a wavelength has too few "
+    "pixels or does not fit into the cell",
     Quality.TOO_FEW_PIXELS: "under a quarter of the cell's pixels are valid",
     Quality.FAILED: "could not be computed",
 }
@@ -158,11 +159,11 @@ ADVICE = {
     Quality.NO_RIPPLES: "nothing",
     Quality.NOT_CONVERGED: "do not quote the values; try a smaller window where crests bend, a "
     "larger one where few wavelengths fit, or more ripples.draws",
-    Quality.CONTRADICTION: "compare the passes in ripples.nc and their navigation and dates: "
+    Quality.CONTRADICTION: "compare the passes in ripples.nc, their navigation and dates: "
     "ripples may have changed between them",
     Quality.NOT_IDENTIFIABLE: "add a pass of another heading, or choose a larger window for long "
     "waves and smaller pixels for short ones",
-    Quality.TOO_FEW_PIXELS: "nothing, at the edges; elsewhere look for holes in the tiles",
+    Quality.TOO_FEW_PIXELS: "nothing, at the edges; elsewhere check the tiles for holes",
     Quality.FAILED: "see the failures at the end of the report; repair the input and run again",
 }
 
@@ -198,7 +199,7 @@ def attributes(results: Sequence[CellResult]) -> dict[str, list[Any]]:
 
 
 def label(estimate: CellEstimate) -> str:
-    """Wavelength and height of a cell as a map says them: to a millimetre, no finer than known."""
+    """Label of a cell on a map: wavelength and height, to a millimetre at most."""
     length, height = (statistics(estimate, k) for k in ("wavelength", "crest_to_trough"))
     if not np.isfinite(length[0]):
         return ""
@@ -206,13 +207,13 @@ def label(estimate: CellEstimate) -> str:
 
 
 def _on_a_map(value: float, sd: float) -> str:
-    if np.isfinite(sd) and sd < MILLIMETRE / 2:  # nothing of it would be left
+    if np.isfinite(sd) and sd < MILLIMETRE / 2:  # it would be rounded to 0.000
         return f"{value:.3f}"
     return f"{value:.3f} ± {sd:.3f}" if sd < 10 * MILLIMETRE else measured(value, sd)
 
 
 def measured(value: float, sd: float) -> str:
-    """Write a value with its standard deviation, two digits of which are told: 0.140 ± 0.012.
+    """Write a value with its standard deviation to two digits: 0.140 ± 0.012.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The one source of colours: class rasters, styles, the report.
+"""Colours of class rasters, styles and the report.
 
-All told apart by colour-blind readers: categories after Okabe and Ito, ramps perceptually uniform,
-the azimuth's cyclic.
+All are distinct for colour-blind readers: categories after Okabe and Ito, ramps perceptually
+uniform, the azimuth's ramp cyclic.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ QUALITY_COLOURS: dict[Quality, Colour] = {
     Quality.TOO_FEW_PIXELS: (240, 228, 66),
     Quality.FAILED: (213, 94, 0),
 }
-# Of more classes than there are colours the next ones are darker by this.
+# Factor by which the colours are darkened when they repeat; colours along a ramp (a choice).
 SHADE = 0.7
 STOPS = 9
 
@@ -76,6 +76,6 @@ def hexadecimal(colour: Colour) -> str:
 
 
 def colour_at(ramp: Ramp, low: float, high: float, value: float) -> Colour:
-    """Colour of one value along a ramp from low to high; those beyond take its ends'."""
+    """Colour of a value along a ramp from low to high; values beyond are clipped."""
     place = (value - low) / (high - low) if high > low else 0.5
     return _whole(mpl.colormaps[ramp.name](float(np.clip(place, 0, 1)))[:3])

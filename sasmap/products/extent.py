@@ -19,8 +19,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 LAYER = "extent"
-# Weight, after smoothing, from which a place that was not seen is taken for what is around it: a
-# hole, not the edge of what was seen.
+# Smoothed weight of the observed places from which an unobserved place takes its surroundings'
+# value: a hole (1 in its middle when small), not the edge of the coverage (0.5).
 SEEN = 0.6
 
 
@@ -46,9 +46,9 @@ def outlines(
     Parameters
     ----------
     probability : ndarray (rows, columns)
-        That a place is rippled; NaN where it was not seen.
+        Probability that a place is rippled; NaN where it was not observed.
     own : ndarray of bool (rows, columns)
-        Places of cells in which ripples were found: an area has to reach one of them.
+        Places of cells in which ripples were found: an area must reach one of them.
     wavelength : float
         m; outlines are smooth over a quarter of it, and no area is smaller than its square.
     transform : Affine
@@ -81,7 +81,7 @@ def outlines(
 
 
 def _smoothed(values: FloatArray, sd: float) -> FloatArray:
-    """Gaussian mean of what was seen; 0 where nothing was."""
+    """Gaussian mean over observed places; 0 where there is none."""
     seen = np.isfinite(values)
     weight = gaussian_filter(seen.astype(float), sd, mode="constant")
     total = gaussian_filter(np.where(seen, values, 0.0), sd, mode="constant")
@@ -90,13 +90,13 @@ def _smoothed(values: FloatArray, sd: float) -> FloatArray:
 
 
 def _around_low(ring: FloatArray, field: FloatArray) -> bool:
-    """Whether a closed contour goes round lower values: scikit-image keeps those on its left."""
+    """Whether a closed contour encloses lower values: scikit-image keeps those on its left."""
     row, column = ring[:, 0], ring[:, 1]
     return bool((row[:-1] * column[1:] - row[1:] * column[:-1]).sum() > 0)
 
 
 def _without(shell: shapely.Polygon, holes: Sequence[shapely.Polygon]) -> shapely.Polygon:
-    """Cut out of a shell the holes that lie in it."""
+    """Cut the holes that lie in a shell out of it."""
     within = [h.exterior.coords for h in holes if shell.contains(h)]
     return shapely.Polygon(shell.exterior.coords, within)
 

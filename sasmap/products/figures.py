@@ -1,4 +1,4 @@
-"""What all pictures of the report share: encoding, map frames, scale bars."""
+"""Parts common to all figures of the report: encoding, map frames, scale bars."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 
-# Pixels a side, at most, of the rasters in a picture.
+# Most pixels a side of the rasters in a figure, and its resolution: bound the report's size (a
+# choice).
 MOST = 1000
 DPI = 130
 INK = "#333333"
@@ -22,14 +23,14 @@ Box = tuple[float, float, float, float]
 
 
 class Picture(NamedTuple):
-    """A picture with its caption; `source` is a data address."""
+    """A figure with its caption; `source` is a data URL."""
 
     source: str
     caption: str
 
 
 def encoded(figure: Figure) -> str:
-    """Return a figure as a data address."""
+    """Encode a figure as a data URL."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,4 +1,4 @@
-"""The scattering law that a survey learned, drawn beside Lambert's and the published one."""
+"""Figure of the estimated scattering law beside Lambert's and the published one."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from sasmap.ripples.survey import SurveyModel
 
 FloatArray = NDArray[np.float64]
 
-# Laws that are drawn beside the learned one: exponent n, concentration c, and the line.
+# Laws drawn beside the estimated one: exponent n, concentration c, and the line style.
 OTHERS = {"Lambert": (2.0, 0.0, "--"), "Zare and Cobb": (0.0, 3 / np.pi, ":")}
-# Width of the interval of the learned law over that of its prior below which something fixed it.
+# Ratio of the widths of posterior and prior intervals of n below which the data constrain the law
+# (a choice), and the 90 % interval of a Gaussian prior in standard deviations.
 FIXED = 0.5
 PRIOR_WIDTH = 2 * 1.645
-# Shift of n from which the law is called one of another form: 0.2 to 0.6 under laws of about this
-# form (docs/results.md).
+# Shift of n from which the law is said to be of another form: laws close to this form give 0.2 to
+# 0.6 (docs/results.md).
 BENT = 0.7
 
 
@@ -48,7 +49,7 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     figure = Figure(figsize=(5.2, 2.8), layout="constrained")
     axes = figure.add_subplot()
     axes.fill_between(degrees, low, high, color="#0072b2", alpha=0.25, linewidth=0)
-    axes.plot(degrees, centre, color="#0072b2", label="learned, with its 90 % interval")
+    axes.plot(degrees, centre, color="#0072b2", label="estimated, with 90 % interval")
     for name, (n, c, line) in OTHERS.items():
         axes.plot(degrees, level(n, c, degrees, middle), line, color="#333333", label=name)
     axes.axvspan(*grazing, color="#000000", alpha=0.06, linewidth=0)
@@ -60,7 +61,7 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     axes.tick_params(labelsize=7)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
-    return Picture(encoded(figure), f"{told(survey)} Grey: grazing angles of the cells.")
+    return Picture(encoded(figure), f"{law_caption(survey)} Grey: grazing angles of the cells.")
 
 
 def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
@@ -73,8 +74,8 @@ def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
     return np.asarray(10 / np.log(10) * (log(angle) - log(np.array(base))))
 
 
-def told(survey: SurveyModel) -> str:
-    """Say what was learned of the law, or that nothing fixed it."""
+def law_caption(survey: SurveyModel) -> str:
+    """Describe the estimated law, or say that the data do not constrain it."""
     quantiles = survey.quantiles()
     (n_low, c_low), (n, c), (n_high, c_high) = quantiles["law"]
     spread = quantiles["spread"][1]
@@ -86,12 +87,12 @@ def told(survey: SurveyModel) -> str:
     low, shift, high = (float(q[0]) for q in quantiles["shift"])
     if low * high > 0 and abs(shift) > BENT:
         text += (
-            f" The shape of waves without shadow tells n wrong by {shift:+.1f}, which is taken "
-            "off: the law bends otherwise than this form."
+            f" The echo shape of ripples without shadow biases n by {shift:+.1f}, which is "
+            "corrected: the true law has another form than this."
         )
     if n_high - n_low > FIXED * PRIOR_WIDTH * 0.9:
         text += (
-            " No shadow and no difference of grazing angles told the law from the height: heights "
-            "therefore are wide."
+            " Neither shadow nor a range of grazing angles separates the law from the height, so "
+            "the intervals of the heights are wide."
         )
     return text

@@ -21,21 +21,21 @@ from numpy.typing import NDArray
 from sasmap.catalogue import BY_FILE
 from sasmap.products.colours import Colour
 from sasmap.products.figures import Picture, encoded, map_frame, read_thinned
-from sasmap.products.ranges import digits_for, has_content, range_of, widened
+from sasmap.products.ranges import digits_for, has_content, padded_range, range_of
 
 Codes = Mapping[int, tuple[str, Colour]]
 
-# Opacity of sediments over the mosaic, and the longest ripple symbol over a cell.
+# Opacity of sediments over the mosaic, and longest ripple symbol over a cell's side (a choice).
 VEIL, LONGEST = 0.45, 0.8
 
 
 def overview(folder: Path, sediments: Codes) -> Picture | None:
-    """Draw the answer: the mosaic with sediments over it, boundaries and ripples.
+    """Draw the overview map: mosaic, sediments, boundaries and ripples.
 
     Parameters
     ----------
     folder : Path
-        Of the products, which are drawn as far as they are there.
+        Of the products; those that exist are drawn.
     sediments : mapping of int to (str, colour)
 
     Returns
@@ -52,10 +52,10 @@ def overview(folder: Path, sediments: Codes) -> Picture | None:
     axes.imshow(values, extent=box, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
     told = ["Sonar mosaic"]
     if _draw_sediments(folder, axes, figure, sediments, VEIL):
-        told.append("sediments over it, with their boundaries")
+        told.append("sediments and their boundaries")
     if _draw_ripples(folder / "ripple_cells.gpkg", axes, figure):
         told.append(
-            "ripples as lines along their crests, longer for longer waves, dotted where flagged"
+            "ripples as lines along the crests, longer for longer wavelengths, dotted where flagged"
         )
     return Picture(encoded(figure), "; ".join(told) + ".")
 
@@ -160,7 +160,7 @@ def _draw_ripples(path: Path, axes: Axes, figure: Figure) -> bool:
     along = np.radians(columns["azimuth_mean"][known] + 90)
     step = half[:, None] * np.stack([np.sin(along), np.cos(along)], axis=1)
     ends = np.stack([centres - step, centres + step], axis=1)
-    low, high = widened(height, columns["crest_to_trough_sd"][known])
+    low, high = padded_range(height, columns["crest_to_trough_sd"][known])
     ramp = BY_FILE[path.name].ramp
     assert ramp is not None
     norm, colours = Normalize(low, high), colormaps[ramp.name]

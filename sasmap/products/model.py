@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class ModelledAmplitude:
-    """Modelled amplitudes of all cells as one array; rows are read cell by cell.
+    """Modelled amplitudes of all cells as one array, read by rows of cells.
 
     Parameters
     ----------

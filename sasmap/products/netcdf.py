@@ -34,15 +34,15 @@ CONVERGENCE = {
     "ess_bulk": "bulk effective sample size",
     "ess_tail": "tail effective sample size",
 }
-# Name, unit and meaning of what each look says besides.
+# Name, unit and meaning of the other quantities of a look.
 SINGLE = {
     "correlation": ("1", "posterior correlation of f and A_H"),
     "acceptance": ("1", "accepted fraction of the proposals"),
     "probability": ("1", "probability that the cell is rippled"),
     "coherence_length": ("m", "distance over which the phase of the crests stays correlated"),
     "rippled_fraction": ("1", "rippled fraction of the valid area"),
-    "defect_density": ("m-2", "terminations of crests for each square metre of rippled floor"),
-    "window": ("1", "cells a side of the window in which the look was estimated"),
+    "defect_density": ("m-2", "crest terminations per square metre of rippled sea floor"),
+    "window": ("1", "side of the window in which the look was estimated, in cells"),
     "noise_factor": ("1", "variance of the speckle over that of independent pixels"),
     "exponent": ("1", "exponent n of the scattering law sin(theta)^n exp(-c (theta - pi/2)^2)"),
     "exponent_sd": ("1", "standard deviation of the exponent of the scattering law"),
@@ -84,7 +84,7 @@ def write_ripples_netcdf(
     cells : mapping of (row, column) to sequence of Summary or None
     chains : mapping of (row, column) to FusedCell
     looks : sequence of str
-        Labels, one a look.
+        Labels, one per look.
     passes : sequence of str
         Name of the pass of each look.
     shape : tuple of int
@@ -98,7 +98,7 @@ def write_ripples_netcdf(
         Global attributes.
     scratch : Path
     survey : SurveyModel, optional
-        What the looks share.
+        Shared parameters of the survey.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def write_ripples_netcdf(
             ends = centres[:, None] + 0.5 * size * np.array([-1, 1])
             variables[f"{name}_bounds"] = ((name, "bounds"), ends)
     result = xr.Dataset(variables, coordinates, _global(tags))
-    # what is known everywhere has no fill value, nor have coordinates
+    # coordinates and fields without gaps have no fill value
     encoding = {
         name: {"_FillValue": np.nan if name in variables and v.dtype.kind == "f" else None}
         for name, v in result.variables.items()
@@ -145,7 +145,7 @@ def _global(tags: Mapping[str, str]) -> dict[str, str]:
     return {
         "Conventions": "CF-1.11",
         "title": f"Ripples of the survey {tags['SURVEY']}",
-        "institution": "not told by the survey file",
+        "institution": "not stated in the survey file",
         "source": f"{tags['SOFTWARE']}, from synthetic aperture sonar amplitude",
         "history": f"run {tags['RUN_ID']} of {tags['SOFTWARE']}",
         "references": "Zare and Cobb (2013); docs/science.md of sasmap",
@@ -155,7 +155,7 @@ def _global(tags: Mapping[str, str]) -> dict[str, str]:
 
 
 def _shared(survey: SurveyModel | None) -> dict[str, Any]:
-    """Collect what the looks share: law (statistic), altitude offsets (statistic, pass)."""
+    """Collect the shared parameters: law (statistic), altitude offsets (statistic, pass)."""
     if survey is None or not survey.values:
         return {}
 
@@ -165,7 +165,7 @@ def _shared(survey: SurveyModel | None) -> dict[str, Any]:
         return np.stack([drawn.mean(axis=0), drawn.std(axis=0), *ends])
 
     offset = summed([v.offset for v in survey.values])
-    about = "true altitude less that of the navigation, by swath"
+    about = "true altitude minus that of the navigation, by swath"
     variables: dict[str, Any] = {
         "altitude_offset": (("statistic", "pass"), offset, {"units": "m", "long_name": about})
     }
@@ -203,7 +203,7 @@ def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, i
     about = {"units": "1", "long_name": "probability that the cell is rippled, all passes"}
     variables["cell_probability"] = (flat, probability, about)
     variables["cell_quality"] = (flat, quality, _flags("quality of the cell"))
-    about = {"units": "1", "long_name": "number of passes that stand for the cell"}
+    about = {"units": "1", "long_name": "number of passes used for the cell's values"}
     variables["cell_passes"] = (flat, passes, about)
     return variables
 
@@ -213,12 +213,12 @@ _PARAMETERS = (("frequency", "m-1"), ("height", "m"))
 
 
 def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Collect what is known of each cell before and after each look, and by it alone."""
+    """Collect the estimates of each cell before and after each look, and from it alone."""
     variables: dict[str, Any] = {}
     sources: tuple[tuple[str, str, Any], ...] = (
         ("", "after this pass, all so far combined", lambda c, k: chains[c].posteriors[k]),
         ("prior_", "before this pass", lambda c, k: chains[c].priors[k]),
-        ("alone_", "by this pass alone", lambda c, k: cells[c][k]),
+        ("alone_", "from this pass alone", lambda c, k: cells[c][k]),
     )
     for prefix, about, source in sources:
         for name in ("mean", "sd") if prefix == "prior_" else STATISTICS:
@@ -231,7 +231,7 @@ def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> d
             attributes = {"units": "degree", "long_name": f"axial {name} of the azimuth {about}"}
             variables[f"azimuth_{prefix}{name}"] = (_DIMS, values, attributes)
     apart = _values(cells, shape, lambda c, k: chains[c].disagreements[k])
-    about = "squared distance from the other passes; chi-squared, 3 degrees of freedom, by chance"
+    about = "squared distance from the other passes; chi-squared, 3 degrees of freedom by chance"
     variables["disagreement"] = (_DIMS, apart, {"units": "1", "long_name": about})
     for i, (name, what) in enumerate((("migration", "distance"), ("migration_sd", "its sd"))):
         moved = _values(cells, shape, lambda c, k, i=i: chains[c].migration[k][i])
@@ -242,12 +242,12 @@ def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> d
 
 
 def _verdicts(chains: FusedCells, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Collect the quality of each look and whether it stands for its cell."""
+    """Collect the quality of each look and whether it is used for its cell."""
     quality, used = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
     for cell, chain in chains.items():
         quality[:, *cell] = chain.qualities
         used[list(chain.group), *cell] = 1
-    about = {"units": "1", "long_name": "stands for the cell"}
+    about = {"units": "1", "long_name": "used for the cell's values"}
     return {
         "quality": (_DIMS, quality, _flags("quality of the look")),
         "used": (_DIMS, used, about),
@@ -269,7 +269,7 @@ def _values(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.floa
 
 
 def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
-    """How each look went: convergence, crests, quality, what was left out."""
+    """Diagnostics of each look: convergence, crests, quality, skipped steps."""
     variables: dict[str, Any] = {}
     for name, meaning in CONVERGENCE.items():
         for k, parameter in enumerate(JUDGED):
@@ -323,8 +323,8 @@ def _reasons() -> dict[str, Any]:
     return {
         "flag_values": np.arange(len(names), dtype=np.int8),
         "flag_meanings": " ".join(names),
-        "long_name": "why ripples cannot be told: too few waves a window, too few pixels a wave, "
-        "looked at along the crests",
+        "long_name": "why ripples cannot be identified: too few waves per window, too few pixels "
+        "per wavelength, sonar looks along the crests",
     }
 
 
@@ -332,5 +332,5 @@ def _masks() -> dict[str, Any]:
     return {
         "flag_masks": np.array([int(f) for f in LeftOut], np.int16),
         "flag_meanings": " ".join(str(f.name).lower() for f in LeftOut),
-        "long_name": "what was left out",
+        "long_name": "steps that were skipped",
     }

@@ -1,4 +1,4 @@
-"""The range of values that a ramp of colours covers."""
+"""The range of values that a colour ramp covers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from sasmap.catalogue import BY_FILE
 
 FloatArray = NDArray[np.float64]
 
-# Standard deviations that a range covers at least on either side of its middle, so that noise is
-# not stretched over the whole ramp: 95 % of a Gaussian lie within.
+# Least half-width of the range in standard deviations of the values, so that noise is not stretched
+# over the whole ramp: 95 % of a Gaussian.
 COVERED = 2.0
-# Quantiles of an amplitude image between which it is stretched: speckle has a long tail.
+# Quantiles between which an amplitude image is stretched: speckle has a long tail.
 DARK, BRIGHT = 0.01, 0.99
-# Pixels a side, about, from which a range is taken.
+# Pixels a side, about, from which the range is computed (bounds time and memory).
 SIDE = 1000
 
 
@@ -27,7 +27,7 @@ def has_content(path: Path) -> bool:
 
 
 def sampled(path: Path, band: int) -> FloatArray:
-    """Values (n,) of a raster's band, of about a thousand pixels a side at most."""
+    """Read the valid values (n,) of a raster's band, decimated to a thousand pixels a side."""
     with rasterio.open(path) as source:
         factor = max(1, max(source.shape) // SIDE)
         shape = (max(source.height // factor, 1), max(source.width // factor, 1))
@@ -58,10 +58,10 @@ def range_of(path: Path) -> tuple[float, float]:
         low, high = np.quantile(values, (DARK, BRIGHT))
         return 0.0 if low < 0.5 * high else float(low), float(high)
     sd = sampled(path, 2) if len(product.bands) > 1 else np.zeros(0)
-    return widened(values, sd)
+    return padded_range(values, sd)
 
 
-def widened(values: FloatArray, sd: FloatArray) -> tuple[float, float]:
+def padded_range(values: FloatArray, sd: FloatArray) -> tuple[float, float]:
     """Range of values that covers at least their uncertainty.
 
     Parameters
@@ -84,5 +84,5 @@ def widened(values: FloatArray, sd: FloatArray) -> tuple[float, float]:
 
 
 def digits_for(low: float, high: float) -> int:
-    """Decimals with which the values of a range are told apart."""
+    """Decimals that distinguish values within a range."""
     return int(np.clip(1 - np.floor(np.log10(high - low)), 0, 6))

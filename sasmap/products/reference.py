@@ -1,4 +1,4 @@
-"""The page of all products, made from the catalogue so that it cannot drift."""
+"""The page of all products, generated from the catalogue so that it stays correct."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from sasmap.catalogue import CATALOGUE
 
 _HEAD = """# Products
 
-Made from the program's own catalogue by
-`python -m sasmap.products.reference > docs/products.md`. Rasters are Cloud-Optimized GeoTIFF; their
-bands bear these descriptions and units.
+Generated from the program's catalogue by
+`python -m sasmap.products.reference > docs/products.md`. Rasters are Cloud-Optimized GeoTIFFs whose
+bands carry these descriptions and units.
 """
 _KINDS = {
-    "cells": "raster, a pixel a cell",
-    "cell codes": "raster of codes, a pixel a cell",
+    "cells": "raster, one pixel per cell",
+    "cell codes": "raster of codes, one pixel per cell",
     "pixels": "raster, full resolution",
     "pixel codes": "raster of codes, full resolution",
     "polygons": "GeoPackage of polygons",
@@ -23,7 +23,7 @@ _KINDS = {
 
 def catalogue_reference() -> str:
     """Return the page of all products, in Markdown."""
-    lines = [_HEAD, "| file | kind | what it holds | bands (unit) |", "|---|---|---|---|"]
+    lines = [_HEAD, "| file | kind | contents | bands (unit) |", "|---|---|---|---|"]
     for p in CATALOGUE:
         bands = "; ".join(b.text for b in p.bands)
         if len(p.bands) == 4:  # a quantity and its statistics

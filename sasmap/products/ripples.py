@@ -1,4 +1,4 @@
-"""Ripple products of a survey with a pixel, a polygon or a line of a table a cell."""
+"""Ripple products of a survey with one pixel, polygon or table row per cell."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write_ripple_rasters(
     tags: Mapping[str, str],
     scratch: Path,
 ) -> list[Path]:
-    """Write every raster of the catalogue that has a pixel a cell.
+    """Write every raster of the catalogue that has one pixel per cell.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def _layer(product: Product, tags: Mapping[str, str]) -> Layer:
 def write_cells(
     folder: Path, results: Results, transform: Affine, crs: str, size: float, scratch: Path
 ) -> list[Path]:
-    """Write ripple_cells.gpkg, a polygon a cell, and ripple_cells.csv, a line a cell.
+    """Write ripple_cells.gpkg, one polygon per cell, and ripple_cells.csv, one line per cell.
 
     Parameters
     ----------
     folder : Path
     results : mapping of (row, column) to CellResult
     transform : Affine
-        Of rasters with a pixel a cell.
+        Of rasters with one pixel per cell.
     crs : str
         WKT.
     size : float

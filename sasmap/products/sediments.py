@@ -21,7 +21,8 @@ from sasmap.io.rasters import Category, Layer, float_layer, write_large_cog
 from sasmap.products.colours import class_colour
 from sasmap.sediments.mapping import Line
 
-# Rows that are read at once, and pixels of a corner that an outline cuts off.
+# Rows read at once (bounds memory), and pixels of a corner that an outline may cut off: less than a
+# step of the staircase that pixels make.
 STRIPE, SMOOTHED = 1024, 2.0
 
 
@@ -44,7 +45,7 @@ def write_sediments(
     ----------
     folder : Path
     label : array of uint8 (rows, columns)
-        1 for the first class, 0 for nodata; read in stripes, as is `confidence`.
+        1 for the first class, 0 for nodata; read in stripes, like `confidence`.
     confidence : array (rows, columns)
     rippled : array of uint8 (rows, columns)
         1 where the floor is rippled; read in stripes.
@@ -90,9 +91,9 @@ def areas_of(
     transform: Affine,
     scratch: Path,
 ) -> list[Area]:
-    """Outline the areas of a map so that neighbours share their outlines point by point.
+    """Trace the areas of a map so that neighbours share their outlines point by point.
 
-    What is rippled of a class is an area of its own.
+    The rippled parts of a class are areas of their own.
 
     Parameters
     ----------
@@ -120,8 +121,8 @@ def areas_of(
         here = tree.query(shapely.box(0, top, width, rows.stop))
         total += _sums(outlines, here, top, confidence[rows])
     pixel = abs(transform.determinant)
-    # where three areas meet, each has to have the point; then a staircase of pixels is no outline:
-    # corners of less than two pixels go, on both sides alike
+    # where three areas meet, each must have the point; then the staircase of pixels is smoothed:
+    # corners of less than two pixels are cut, equally on both sides
     smooth = shapely.coverage_simplify(shapely.segmentize(outlines, 1.0), SMOOTHED**0.5)
     smooth = shapely.transform(smooth, lambda p: np.column_stack(transform @ (p[:, 0], p[:, 1])))
     return [
@@ -139,7 +140,7 @@ def areas_of(
 
 
 def _outlined(label: Any, rippled: Any, scratch: Path) -> list[tuple[Any, int]]:
-    """Outlines in pixels, whole numbers that meet exactly, and twice the class plus rippled."""
+    """Outlines in whole pixels, which meet exactly, and twice the class plus rippled."""
     height, width = label.shape
     profile = {"driver": "GTiff", "dtype": "uint16", "count": 1, "compress": "lzw"}
     scratch.mkdir(parents=True, exist_ok=True)

@@ -39,7 +39,7 @@ def write_stac(
     ----------
     path : Path
     identity : str
-        The run's.
+        Of the run.
     title : str
     box : tuple of float
         Left, bottom, right, top, m.
@@ -86,7 +86,7 @@ def write_stac(
 
 
 def _times(recorded: tuple[datetime, datetime] | None) -> dict[str, Any]:
-    """Date of the passes, or their first and last; the time of the run where they give none."""
+    """Date of the passes, or the first and last one; without dates the time of the run."""
     if recorded is None:
         return {"datetime": _time(datetime.now(UTC))}
     first, last = (_time(d) for d in recorded)

@@ -1,8 +1,8 @@
-"""Is there a ripple in a clip, and which wave? Evidence over wave vectors and places.
+"""Detection of ripples in a clip: evidence over wave vectors and places.
 
-A peak of the spectrum (`sasmap.ripples.spectra`), of the clip or of a part of it, must go on for
-several wavelengths, its crests must not be thin lines, and it must not be a thing that lies on the
-floor (`sasmap.ripples.places`): the rival that explains it best decides.
+A peak of the spectrum of the clip or of a part of it (`sasmap.ripples.spectra`) must extend over
+several wavelengths, its crests must not be thin lines, and it must not be an object on the sea
+floor (`sasmap.ripples.places`). The alternative that explains it best decides.
 """
 
 from __future__ import annotations
@@ -31,55 +31,59 @@ from sasmap.ripples.spectra import (
 
 FloatArray = NDArray[np.float64]
 
+# Most peaks that are examined: bounds the time.
 CANDIDATES = 6
-# Cosine of the angle between crest normal and look below which a ripple's height cannot be told.
+# Cosine of the angle between crest normal and look below which height is not identifiable: within
+# four degrees of a look along the crests (docs/limits.md).
 MIN_ALONG = 0.07
-# Log prior odds against a ripple, trials of a clip's cells included, and of its parts.
+# Log prior odds against a ripple, including the number of cells tested, and extra for parts
+# (pipelines/ripples/presence.py, as all constants of this file without another source).
 PRIOR, PART_TRIALS = 16.0, 1.5
-# Strong waves of several lengths are rarely anything else: nats that a contrast (from, to) of an
-# extent (from, to) is worth. Of more lengths (less, from and to), the spectrum itself tells enough,
-# and speckle has as much contrast where its grain is as long as a wave.
+# Strong waves over several wavelengths are rarely anything else: largest bonus, nats, and the ramps
+# of contrast and extent over which it sets in. The ramp of the (negative) number of wavelengths
+# ends it: with more of them the spectrum suffices, and long-grained speckle has as much contrast.
 STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
-# Less the excess kurtosis (from, to) at which strength counts for nothing, and fully: grain and
-# marks have pointed profiles.
+# Ramp of the negative excess kurtosis over which the bonus sets in: grain and marks have pointed
+# profiles.
 ROUND = (-0.3, 0.0)
-# Excess kurtosis of a profile across crests that lines have at least, and nats for each.
+# Least excess kurtosis of a profile across lines, and nats per unit of it.
 MAX_KURTOSIS, PER_KURTOSIS = 0.5, 6.0
-# Log odds against a second system of waves where there is one: about one rippled clip in twenty.
+# Log prior odds against a second system beside a first: about one rippled clip in twenty has one.
 SECOND = 3.0
-# Cosine of the angle between waves of one direction, and departure of their ratio from 2 within
-# which the shorter may be the longer one's overtone: where crests bend and fork it is broad.
+# Cosine of the angle within which waves have the same direction, and deviation of their ratio from
+# 2 within which the shorter may be a harmonic: it is broad where crests bend and fork.
 SAME, NEARLY_TWICE = 0.95, 0.3
-# Nats of a wave that does not look like a thing on the floor at all.
+# Nats in favour of a wave that does not resemble an object at all.
 OBJECT = 12.0
-# Wavelengths along its normal that a wave must extend over; share of those that the place holds
-# beyond twice as many (a few lines may lie in step, but not all over it); nats for each beyond.
+# Least extent of a wave along its normal, wavelengths; share of the available wavelengths beyond
+# twice that which is required as well (a few lines may be in step, but not everywhere); nats per
+# wavelength.
 MIN_EXTENT, OF_MORE, PER_WAVE = 2.5, 0.1, 10.0
-# Share of what it extends over along its crests that a wave must extend over along its normal, up
-# to so many wavelengths: marks of a trawl, four lines at most, cross a clip from edge to edge (of
-# 400 such clips, 0.27 to 0.74; of waves with forks 0.83 at least, of recorded ones 0.75).
+# Least extent along the normal over that along the crests, up to so many wavelengths: trawl marks,
+# at most four lines, cross a clip from edge to edge (400 such clips have 0.27 to 0.74, ripples with
+# forks at least 0.83, recorded ones 0.75).
 OF_CRESTS, ENOUGH = 0.7, 5.0
-# Share of the spectrum's evidence that speaks against marks too: they lie at odd distances (of 1200
-# such clips 3 are taken for ripples with it and without).
+# Share of the spectral evidence that also counts against marks, which are irregularly spaced (of
+# 1200 such clips 3 are false positives with it and without).
 REGULAR = 0.5
-# Evidence below which no more is asked: one in four hundred.
+# Evidence below which no further alternative is tested: odds of one in four hundred.
 HOPELESS = -6.0
-# Evidence from which a wave is taken for sure; of one looked at along its crests, which is then
-# remarked, contrast of pings' gains and share of their variance that say the same.
+# Evidence from which a wave counts as certain (odds of 20); contrast of the pings' gains, and share
+# of their variance, from which they show a wave seen along its crests.
 SURE, ALONG_CONTRAST, ALONG_SHARE = 3.0, 0.1, 0.5
-# A wave too long to be told: least wavelengths a clip, contrast, bins that it spreads over, and
-# share of the clip's variance, and share of them that it has to extend over.
+# A wave too long for the clip: least wavelengths in the clip, contrast, bins that it spreads over,
+# share of the clip's variance, and extent over the number of wavelengths.
 FEW_WAVES, FEW_CONTRAST, FEW_BINS, FEW_SHARE, FEW_EXTENT = 1.5, 0.3, 3.0, 0.4, 0.6
-# Probability of ripples where no peak is worth a look.
+# Probability of ripples where no peak is examined.
 NEVER = 1e-4
 
 
 class Unclear(StrEnum):
-    """Why a clip cannot tell whether there are ripples, in words, and what to change."""
+    """Why ripples cannot be detected or excluded in a clip, and what to change."""
 
-    WAVES = "too few waves in the window: take a larger one"
-    PIXELS = "too few pixels a wave: take tiles of finer pixels, or bound the frequency"
-    ALONG = "looked at along the crests: add a pass on another heading"
+    WAVES = "too few wavelengths in the window: choose a larger one"
+    PIXELS = "too few pixels per wavelength: use tiles of finer pixels, or bound the frequency"
+    ALONG = "seen along the crests: add a pass on another heading"
 
 
 class Wave(NamedTuple):
@@ -90,12 +94,11 @@ class Wave(NamedTuple):
     vector : ndarray (2,)
         Wave vector (east, north), cycles/m.
     evidence : float
-        Log Bayes factor of a ripple against what explains the clip best without one, prior
-        included.
+        Log posterior odds of a ripple against the best explanation without one.
     energy : float
-        Power of its cells, over all pixels of the clip.
+        Power in its cells, summed over all pixels of the clip.
     whole : bool
-        Whether the spectrum of the whole clip shows it, not only a part's.
+        Whether the spectrum of the whole clip shows it, not only that of a part.
     """
 
     vector: FloatArray
@@ -105,19 +108,19 @@ class Wave(NamedTuple):
 
     @property
     def probability(self) -> float:
-        """That it is a ripple."""
+        """Probability that it is a ripple."""
         return float(1 / (1 + np.exp(-np.clip(self.evidence, -700, 700))))
 
 
 class Found(NamedTuple):
-    """What a clip shows.
+    """Result of the detection.
 
     Attributes
     ----------
     waves : list of Wave
         Candidates, the most likely ripple first.
     unclear : Unclear or None
-        Why the clip cannot tell, where it cannot.
+        Why the clip is inconclusive, where it is.
     """
 
     waves: list[Wave]
@@ -125,14 +128,14 @@ class Found(NamedTuple):
 
     @property
     def probability(self) -> float:
-        """That there is a ripple; NaN where the clip cannot tell."""
+        """Probability that there is a ripple; NaN where the clip is inconclusive."""
         if self.unclear is not None:
             return float("nan")
         return max((w.probability for w in self.waves), default=NEVER)
 
     @property
     def reason(self) -> str:
-        """Why the clip cannot tell, in words; empty where it can."""
+        """Why the clip is inconclusive, in words; empty where it is not."""
         return "" if self.unclear is None else str(self.unclear)
 
 
@@ -168,7 +171,7 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
 
 
 def _judged(image: Image, flat: FloatArray, peaks: list[Peak]) -> list[Wave]:
-    """Judge peaks, the likeliest ripple first; of a wave that the whole shows no part says more."""
+    """Judge peaks, the likeliest ripple first; skip parts where the whole clip shows the wave."""
     waves: list[Wave] = []
     there: list[Peak] = []
     for peak in sorted(peaks, key=lambda p: not _whole(p, flat)):
@@ -188,7 +191,7 @@ def _whole(peak: Peak, flat: FloatArray) -> bool:
 def _beside(
     image: Image, flat: FloatArray, waves: list[Wave], bounds: tuple[float, float]
 ) -> list[Wave]:
-    """Waves of another system, beside the strongest of those that are there."""
+    """Find waves of another system beside the strongest detected one."""
     first = max((w for w in waves if w.evidence > 0), key=lambda w: w.energy)
     return _given(image, flat, image.per_pixel(first.vector), bounds)
 
@@ -196,7 +199,7 @@ def _beside(
 def _given(
     image: Image, flat: FloatArray, known: FloatArray, bounds: tuple[float, float]
 ) -> list[Wave]:
-    """Waves that are there, given one (cycles a column and a row) of another system."""
+    """Find waves beside a known one (cycles per column and row) of another system."""
     told = (
         _wave(image, flat, p)
         for p in other_peaks(flat, image.valid, known)[:CANDIDATES]
@@ -218,7 +221,7 @@ def _overtone(one: FloatArray, other: FloatArray) -> bool:
 def _crossing(
     image: Image, flat: FloatArray, peaks: list[Peak], bounds: tuple[float, float]
 ) -> list[Wave]:
-    """Two systems of which neither is found by itself, each for sure beside the other, or none."""
+    """Find two systems, neither detected alone, each certain given the other; or none."""
     whole = next((p.per_pixel for p in peaks if _whole(p, flat)), None)
     others = [] if whole is None else _given(image, flat, whole, bounds)
     if whole is None or not others:
@@ -234,7 +237,7 @@ def _crossing(
 
 
 def _within(image: Image, peak: Peak, bounds: tuple[float, float]) -> bool:
-    """Whether a peak lies within bounds of the frequency, but for its error."""
+    """Whether a peak lies within bounds of the frequency, with a margin for its error."""
     frequency = float(np.hypot(*image.per_metre(peak.per_pixel)))
     slack = 1 + 0.5 / peak.waves
     return bounds[0] / slack <= frequency <= bounds[1] * slack
@@ -247,7 +250,7 @@ def _along_look(image: Image, peak: Peak) -> float:
 
 
 def _wave(image: Image, flat: FloatArray, peak: Peak) -> Wave:
-    """Judge a peak by where it lies in the clip: the rival that explains it best decides."""
+    """Judge a peak by its place in the clip: the alternative that explains it best decides."""
     whole = _whole(peak, flat)
     places = np.ascontiguousarray(flat[peak.part]), np.ascontiguousarray(image.valid[peak.part])
     evidence = np.inf
@@ -265,7 +268,7 @@ def _rivals(
     peak: Peak,
     whole: bool,
 ) -> Iterator[float]:
-    """Log Bayes factors of a peak against what else may explain it, the quickest to tell first."""
+    """Log odds of a peak against alternative explanations, the fastest tests first."""
     contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # the rest is texture
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
     told = peak.evidence - PRIOR - (0.0 if whole else PART_TRIALS)
@@ -291,7 +294,7 @@ def _ramp(value: float, low: float, high: float) -> float:
 def _unclear(
     image: Image, flat: FloatArray, gains: FloatArray, hidden: bool, bounds: tuple[float, float]
 ) -> Unclear | None:
-    """Say why a clip without a wave that passes cannot tell whether there are ripples, if so."""
+    """Say why a clip without a detected wave is inconclusive, if it is."""
     rows, columns = (float(np.ptp(places)) + 1 for places in np.nonzero(image.valid))
     longest = np.hypot(rows, columns) * image.pixel_size / MIN_WAVES
     if longest * bounds[1] < 1:
@@ -304,7 +307,7 @@ def _unclear(
 
 
 def _periodic(gains: FloatArray) -> bool:
-    """Whether what pings differ by is a strong wave: crests that run along the look."""
+    """Whether the gains of pings are a strong wave: crests that run along the look."""
     count = gains.size
     power = np.abs(np.fft.rfft((gains - gains.mean()) * taper(count))) ** 2
     first = int(np.ceil(MIN_WAVES))
@@ -315,12 +318,12 @@ def _periodic(gains: FloatArray) -> bool:
     here = searched[max(k - 1, 0) : k + 2].sum()
     # half of the energy of a sine under a sine taper lies in its three highest bins
     contrast = 2 * np.sqrt(here / (0.5 * count) / count) * np.sqrt(2)
-    a_peak = power[first + k] > power[1:first].max()  # and not what a trend leaves
+    a_peak = power[first + k] > power[1:first].max()  # not the remainder of a trend
     return bool(a_peak and contrast > ALONG_CONTRAST and here > ALONG_SHARE * searched.sum())
 
 
 def _too_long(image: Image, flat: FloatArray, bounds: tuple[float, float]) -> bool:
-    """Whether a clip is mostly one strong wave of which it holds too few lengths."""
+    """Whether a clip is mostly one strong wave with too few wavelengths."""
     tall, wide = (taper(n) ** 2 for n in image.shape)
     size = max(min(image.shape) // 32, 1)
     rows, columns = (np.arange(0, n, size) for n in image.shape)

@@ -1,9 +1,9 @@
-"""Where in a clip its ripples are, pixel by pixel, and where their crests split or end.
+"""Extent of the ripples in a clip, pixel by pixel, and the defects of their crests.
 
-The clip is demodulated at its wave and smoothed over half a wavelength. Smoothing takes half of the
-amplitude away at a patch's edge, whatever lies beyond it: a pixel lies on rippled floor where the
-local amplitude is more than half of the ripples' own. Contrast grows as the sound grazes lower, so
-amplitudes are compared over the angle from the vertical, as `sasmap.ripples.phase` does.
+The clip is demodulated at its wave and smoothed over half a wavelength. Smoothing halves the
+amplitude at the edge of a patch, whatever lies beyond: a pixel lies on rippled floor where the
+local amplitude exceeds half of that of the ripples. Contrast grows towards low grazing angles, so
+amplitudes are divided by the angle from the vertical, as in `sasmap.ripples.phase`.
 """
 
 from __future__ import annotations
@@ -22,37 +22,38 @@ from sasmap.ripples.pixels import box_sums, spread_boxes
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude: the least at
-# which speckle leaves less than SURE of the ripples' amplitude.
+# Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude: the smallest one
+# is used at which speckle is below SURE of the ripples' amplitude.
 SMOOTHING = (0.45, 0.65, 0.95, 1.4, 2.0)
 SURE = 0.2
-# Share of the ripples' amplitude at a straight edge of them, after smoothing.
+# Smoothed amplitude at a straight edge over that of the ripples.
 EDGE = 0.5
-# Spread of a ripple's amplitude about its mean over places, of the mean: crests differ.
+# Relative standard deviation of the ripples' amplitude from place to place (a choice).
 UNEVEN = 0.15
-# Angle from the vertical below which contrast is not compared, rad.
+# Smallest angle from the vertical by which amplitudes are divided, rad.
 STEEP = 0.05
-# Area, in squares of a wavelength, under which a gap or a spot is none.
+# Smallest area of a gap or a patch, in squared wavelengths (the gap that a fork leaves is smaller).
 SPECK = 1.5
-# Rounds in which the ripples' amplitude is told from the places that have it.
+# Iterations in which the ripples' amplitude is estimated from the rippled places: it has then
+# converged.
 ROUNDS = 4
 
 
 class Extent(NamedTuple):
-    """Where a clip's ripples are.
+    """Extent of a clip's ripples.
 
     Attributes
     ----------
     probability : ndarray (rows, columns)
-        That a pixel lies on rippled floor; NaN where the image has none.
+        Probability that a pixel lies on rippled floor; NaN at invalid pixels.
     fraction : float
-        Of the valid area that is rippled.
+        Rippled share of the valid area.
     defects : int
-        Places within it that the phase winds around: crests split or end there.
+        Number of phase singularities within it: crests split or end there.
     area : float
-        Where they were looked for, m2.
+        Searched area, m2.
     own : float
-        Amplitude of the ripples, over the angle from the vertical, that places are compared with.
+        Amplitude of the ripples over the angle from the vertical.
     """
 
     probability: FloatArray
@@ -63,12 +64,12 @@ class Extent(NamedTuple):
 
     @property
     def defect_density(self) -> float:
-        """Defects a square metre; NaN where none could be looked for."""
+        """Defects per square metre; NaN where no area was searched."""
         return self.defects / self.area if self.area > 0 else float("nan")
 
 
 def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> Extent:
-    """Tell where the ripples of a wave are.
+    """Find the extent of the ripples of a wave.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> E
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m.
     own : float, optional
-        `Extent.own` of the cell that the ripples were found in, where that is another.
+        `Extent.own` of the cell in which the ripples were found, if another one.
 
     Returns
     -------
@@ -100,7 +101,7 @@ def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> E
 
 
 def _without_specks(probability: FloatArray, wavelength: float) -> FloatArray:
-    """Fill gaps that forks leave, and take off spots: both smaller than a wavelength's square."""
+    """Fill gaps that forks leave, and remove small patches."""
     size = 2 * int(np.ceil(0.5 * wavelength)) + 1
     for morphology, side in ((grey_closing, probability <= 0.5), (grey_opening, None)):
         areas, _ = label(probability > 0.5 if side is None else side)
@@ -113,7 +114,7 @@ def _without_specks(probability: FloatArray, wavelength: float) -> FloatArray:
 def _local(
     image: Image, boxes: Boxes, given: float | None
 ) -> tuple[NDArray[np.complex128], FloatArray, float]:
-    """Smoothed complex amplitude of boxes, probability that each is rippled, the ripples' own."""
+    """Smoothed complex amplitude of boxes, probability of ripples, and the ripples' amplitude."""
     filled = boxes.count > 0
     angle = np.maximum(_angle(image, boxes.size), STEEP)
     for sd in SMOOTHING:
@@ -121,7 +122,7 @@ def _local(
         count = gaussian_filter(boxes.count, reach, mode="constant")
         count = np.maximum(count, 1e-3 * boxes.count.max())
         field = gaussian_filter(boxes.turned, reach, mode="constant") / count
-        # speckle: variance of a mean over the Gaussian's area, which edges and holes make smaller
+        # speckle: variance of a mean over the Gaussian's area, which edges and holes reduce
         noise = boxes.variance / (4 * np.pi * (reach * boxes.size) ** 2)
         noise = noise * boxes.count.max() / count
         level = np.sqrt(np.maximum(np.abs(field) ** 2 - noise, 0)) / angle
@@ -134,11 +135,11 @@ def _local(
 
 
 def _own_level(level: FloatArray, weight: FloatArray) -> float:
-    """Amplitude of the rippled part: the mean of what has more than half of it."""
+    """Amplitude of the rippled part: the mean over boxes with more than half of it."""
     energy = weight * level**2
     own = float((energy * level).sum() / max(float(energy.sum()), 1e-300))
     for _ in range(ROUNDS):
-        # of what lies beyond an edge's reach
+        # only boxes away from edges
         inside = weight * (level > 0.7 * own)
         own = float((inside * level).sum() / max(float(inside.sum()), 1e-300))
     return own
@@ -154,7 +155,7 @@ def _angle(image: Image, size: int) -> FloatArray:
 
 
 def windings(field: NDArray[np.complex128]) -> NDArray[np.int64]:
-    """Count turns of a field's phase around each four neighbouring places.
+    """Count turns of a field's phase around each group of four neighbours.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A clip's amplitude without its smooth trend and without the gains of its pings."""
+"""Removal of the smooth trend and of the pings' gains from a clip's amplitude."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from sasmap.ripples.image import Image
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Larger amplitudes than this many times their trend count as this.
+# Amplitudes are clipped at this many times their trend (Rayleigh speckle exceeds it in 1e-4 of
+# pixels).
 CAP = 3.5
-# Blocks a side that tell the trend, and the degree of its polynomial.
+# Blocks a side to which the trend is fitted, and degree of its polynomial: smoother than 3.5 waves
+# per clip.
 BLOCKS, DEGREE = 16, 4
-# Least trend over the mean amplitude; bounds of the gain of a ping.
+# Least trend over the mean amplitude; bounds of a ping's gain.
 LEAST_TREND, GAINS = 0.1, (0.2, 5.0)
 
 
@@ -41,8 +43,9 @@ def _block_sums(power, valid, row_block, column_block):  # type: ignore[no-untyp
 def _over_trend(amplitude, valid, by_row, column, least, per_pixel, pings):  # type: ignore[no-untyped-def]
     """Divide an amplitude by its trend, in place, and sum it by pings.
 
-    `by_row` are the polynomial's factors in the column's place, (rows, degree + 1), `column` that
-    place; `per_pixel` pings a column and a row, and the first pixel's. Returns sums and pixels.
+    `by_row` (rows, degree + 1) are the coefficients of powers of `column`, the column's coordinate;
+    `per_pixel` holds the pings per column and row, and the first pixel's ping. Returns sums and
+    numbers of pixels.
     """
     rows, columns = amplitude.shape
     total, pixels = np.zeros(pings), np.zeros(pings)
@@ -63,7 +66,7 @@ def _over_trend(amplitude, valid, by_row, column, least, per_pixel, pings):  # t
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _without_gains(level, valid, gains, per_pixel):  # type: ignore[no-untyped-def]
-    """Divide by the gains of pings and take the mean off, in place."""
+    """Divide by the gains of pings and subtract the mean, in place."""
     rows, columns = level.shape
     total, count = 0.0, 0
     for i in range(rows):
@@ -83,7 +86,7 @@ def _without_gains(level, valid, gains, per_pixel):  # type: ignore[no-untyped-d
 def _trend(total: FloatArray, count: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Polynomial of degree 4 in row and column through the means of blocks.
 
-    Returns its factors (powers of the row's place, powers of the column's), places from -1 to 1.
+    Returns its coefficients (powers of the row's, powers of the column's coordinate, -1 to 1).
     """
     used = count > 0.1 * count.max()
     mean = total / np.maximum(count, 1)
@@ -100,7 +103,7 @@ def _trend(total: FloatArray, count: FloatArray, shape: tuple[int, int]) -> Floa
 
 
 def _edges(count: int) -> NDArray[np.int64]:
-    """Where the blocks of a side begin, and its end."""
+    """Edges of the blocks along a side."""
     return np.linspace(0, count, min(BLOCKS, count) + 1).astype(np.int64)
 
 
@@ -109,7 +112,7 @@ def _places(count: int) -> FloatArray:
 
 
 def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
-    """Take trend and gains of pings off a clip's amplitude.
+    """Remove trend and gains of pings from a clip's amplitude.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
         Amplitude over its smooth trend and over the mean along each ping, less 1; 0 where not
         valid.
     gains : ndarray (pings,)
-        The means, a pixel across the look each; 1 where there is none.
+        The means, one per pixel across the look; 1 where there is none.
     """
     blocks = [np.repeat(np.arange(len(e) - 1), np.diff(e)) for e in map(_edges, image.shape)]
     level, total, count = _block_sums(image.power, image.valid, *blocks)
@@ -139,7 +142,7 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
 
 
 def _pings(image: Image) -> tuple[FloatArray, int]:
-    """Pings a column and a row, the first pixel's, and how many there are: a pixel across each."""
+    """Pings per column and row, that of the first pixel, and their number: a pixel across each."""
     across = np.array([image.look[1], -image.look[0]]) @ image.steps / image.pixel_size
     ends = across * (np.array(image.shape[::-1]) - 1)
     first = -float(np.minimum(ends, 0).sum())

@@ -1,15 +1,15 @@
-"""All looks of a survey at rippled cells as arrays: what they say of a cell and of its law.
+"""All looks of a survey at rippled cells as arrays: likelihoods of cells and of their law.
 
-A look's posterior of its own is a Gaussian mixture over the log of f, the log of the contrast that
-A_H makes to first order, the azimuth, and the exponent n and concentration c of the scattering law.
-An image tells the contrast; A_H follows from it by way of the law. Looks are kept as likelihoods in
-information form (precision and its product with the mean), the prior that they were sampled under
-taken off, so that those that share a cell or a law are multiplied by adding.
+The posterior of a single look is a Gaussian mixture over log f, the log of the contrast that A_H
+causes to first order, the azimuth, and the exponent n and concentration c of the scattering law. An
+image determines the contrast; A_H follows from it through the law. Looks are represented as
+likelihoods in information form (precision, and its product with the mean), the sampling prior
+divided out, so that looks with a common cell or law are multiplied by adding.
 
-A look tells the law in two ways. Where A_H is known by geometry (shadow), contrast tells the law's
-slope. Where it is not, only the pulse's shape is left, its overtones: the law's bend, of which the
-family has none of its own. A law outside the family shifts what all those looks tell alike; that
-shift is one more thing that a survey's looks share.
+A look informs the law in two ways. Where geometry (shadow) determines A_H, contrast gives the slope
+of the law. Elsewhere only the shape of the echo over a wavelength, its harmonics, depends on the
+law: on its curvature, which the family ties to n and c. A law outside the family biases all those
+looks alike; this bias is one of the survey's shared parameters.
 """
 
 from __future__ import annotations
@@ -21,47 +21,49 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from sasmap.ripples.information import Information, transformed, widened
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
 from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
 
 FloatArray = NDArray[np.float64]
 
-# Prior of the law that looks are sampled under: mean and variance of n and c.
+# Sampling prior of the law: mean and variance of n and c.
 LAW_MEAN = np.array([EXPONENT[0], CONCENTRATION[0]])
 LAW_VARIANCE = np.array([EXPONENT[1], CONCENTRATION[1]]) ** 2
-# Least share of the variance of log contrast that remains when altitude is told.
+# Least share of the variance of log contrast that remains when altitude is known (a choice: keeps
+# it positive).
 REMAINING = 0.1
-# By how much n and c that the pulse's shape tells are wrong where the law is outside the family, in
-# the survey and once more in each look: a law with a critical angle shifts n by -0.7. How far the
-# law at one angle is from that over all angles, of log contrast (pipelines/ripples/surveys.py).
+# Bias of n and c from the echo shape where the law is outside the family, standard deviations for
+# the survey and again for each look: a law with a critical angle biases n by -0.7. Error of log
+# contrast from the law's change with angle (both from pipelines/ripples/surveys.py).
 SHIFT_SD, LOCAL_LAW = np.array([0.8, 0.5]), 0.05
-# How closely log contrast follows the law: below the first the law is known by the pulse's shape,
-# above the second by geometry. Looks without shadow have 0.05 to 0.5, those with shadow 0.8 to 1.1
-# (pipelines/ripples/surveys.py).
+# Regression of log contrast on the law: below the first value the echo shape determines the law,
+# above the second geometry does. Looks without shadow have 0.05 to 0.5, those with shadow 0.8 to
+# 1.1 (pipelines/ripples/surveys.py).
 LEAST_KNOWN, MOST_KNOWN = 0.5, 0.8
 LOG_F, LOG_HEIGHT, AZIMUTH, LAW = 0, 1, 2, slice(3, 5)
-# Stands for no scatter; log evidence of what cannot be.
+# Standard deviation in constant of zero; log evidence of the impossible.
 NONE, LEAST_LEVEL = 1e-12, -1e9
 
 
 class Shared(NamedTuple):
-    """What the looks of a survey share.
+    """Shared parameters of a survey's looks.
 
     Attributes
     ----------
     law, spread : ndarray (2,)
         Mean of n and c, and their standard deviations from look to look.
     shift : ndarray (2,)
-        n and c that the pulse's shape tells less those that its contrast goes by.
+        Bias of n and c from the echo shape.
     offset : ndarray (swaths,)
         True altitude less that of the navigation, m.
     scatter : ndarray (3,)
         Change and misregistration between passes: standard deviations of log f, log A_H and
         azimuth (degrees).
     of_look : float
-        Share of the law's variance that is of the look, not of the cell: a law outside the family
-        is another member of it at every angle.
+        Share of the law's variance from look to look within a cell: a law outside the family
+        resembles another member of it at every angle.
     """
 
     law: FloatArray
@@ -72,40 +74,25 @@ class Shared(NamedTuple):
     of_look: float
 
 
-class Information(NamedTuple):
-    """Gaussian factors exp(level + push u - u precision u / 2), arrays (..., K) and so on.
+class LawLikelihood(NamedTuple):
+    """Likelihood of the law from each look, with f, contrast and azimuth integrated out.
 
     Attributes
     ----------
-    level : ndarray (..., K)
-    push : ndarray (..., K, D)
-    precision : ndarray (..., K, D, D)
-    """
-
-    level: FloatArray
-    push: FloatArray
-    precision: FloatArray
-
-
-class LawTold(NamedTuple):
-    """What looks tell of their law when f, contrast and azimuth are left open.
-
-    Attributes
-    ----------
-    level, push, precision : ndarray (N, K), (N, K, 2), (N, K, 2, 2)
+    level, linear, precision : ndarray (N, K), (N, K, 2), (N, K, 2, 2)
         As :class:`Information`, of n and c.
     by_shape : ndarray (N,)
-        1 where it is the pulse's shape that tells it, 0 where geometry tells A_H and so the law.
+        1 where the echo shape determines the law, 0 where geometry determines A_H and so the law.
     """
 
     level: FloatArray
-    push: FloatArray
+    linear: FloatArray
     precision: FloatArray
     by_shape: FloatArray
 
 
 class Looks(NamedTuple):
-    """Looks at cells: N of them, of K components each (padded with level minus infinity).
+    """N looks at cells, of K components each (padded with level minus infinity).
 
     Attributes
     ----------
@@ -113,7 +100,7 @@ class Looks(NamedTuple):
     factor : Information (N, K)
         Likelihood over log f, log contrast, azimuth (degrees), n and c; where the law is fixed,
         over log f, log A_H and azimuth.
-    law : LawTold or None
+    law : LawLikelihood or None
         None where the law is fixed.
     tangent, altitude : ndarray (N,)
         Of the grazing angle, and of the sonar, m, at the clip's middle.
@@ -126,7 +113,7 @@ class Looks(NamedTuple):
     cell: NDArray[np.int64]
     swath: NDArray[np.int64]
     factor: Information
-    law: LawTold | None
+    law: LawLikelihood | None
     tangent: FloatArray
     altitude: FloatArray
     altitude_gain: FloatArray
@@ -138,25 +125,25 @@ class Looks(NamedTuple):
         return self.law is not None
 
     def some(self, which: NDArray[np.int64]) -> Looks:
-        """Return some of the looks."""
+        """Select looks."""
         factor = Information(*(values[which] for values in self.factor))
-        law = None if self.law is None else LawTold(*(values[which] for values in self.law))
+        law = None if self.law is None else LawLikelihood(*(v[which] for v in self.law))
         rest = {n: getattr(self, n)[which] for n in self._fields if n not in ("factor", "law")}
         return Looks(factor=factor, law=law, **rest)
 
 
-def gather(
+def collect(
     cells: Sequence[Sequence[Summary | None]], steepness: tuple[float, float]
 ) -> Looks | None:
-    """Lay the good looks at cells as arrays.
+    """Collect the good looks at cells as arrays.
 
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell, one a swath.
+        Of each cell, one per swath.
     steepness : tuple of float
-        Prior that they were sampled under: median and log standard deviation of crest to trough
-        over wavelength; infinite for none.
+        Sampling prior: median and log standard deviation of crest to trough over wavelength;
+        infinite for none.
 
     Returns
     -------
@@ -190,8 +177,8 @@ def gather(
     law = None
     if size == 5:
         by_shape = _by_shape(weight, mean, covariance, tangent)
-        law = _law_told(factor, by_shape)
-        factor, law = _doubted(factor, law)
+        law = _law_likelihood(factor, by_shape)
+        factor, law = _inflated(factor, law)
     return Looks(
         cell,
         swath,
@@ -205,7 +192,7 @@ def gather(
 
 
 def _turn_to_one_axis(cell: NDArray[np.int64], weight: FloatArray, mean: FloatArray) -> None:
-    """Turn azimuths, which are axial, to within 90 degrees of their cell's mean; in place."""
+    """Turn azimuths, which are axial, to within 90 degrees of their cell's mean; in constant."""
     twice = np.radians(2 * (weight * mean[:, :, AZIMUTH]).sum(axis=1))
     sines, cosines = (np.bincount(cell, v) for v in (np.sin(twice), np.cos(twice)))
     centre = 0.5 * np.degrees(np.arctan2(sines, cosines))
@@ -214,10 +201,10 @@ def _turn_to_one_axis(cell: NDArray[np.int64], weight: FloatArray, mean: FloatAr
 
 
 def _altitude_told(covariance: FloatArray, sd: FloatArray) -> FloatArray:
-    """Take the part of altitude that a swath's looks share off the error of log contrast."""
+    """Remove the altitude error that a swath's looks share from the error of log contrast."""
     variance = covariance[:, :, LOG_HEIGHT, LOG_HEIGHT]
     left = np.maximum(variance - sd[:, None] ** 2, REMAINING * variance)
-    # what correlates with it shrinks with it, so that the matrix stays positive
+    # its covariances are scaled as well, so that the matrix stays positive
     scale = np.ones(covariance.shape[:3])
     scale[:, :, LOG_HEIGHT] = np.sqrt(left / variance)
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
@@ -230,25 +217,27 @@ def _likelihood(
     tangent: FloatArray,
     steepness: tuple[float, float],
 ) -> Information:
-    """Posterior components over the priors of law and steepness."""
+    """Posterior components divided by the priors of law and steepness."""
     precision: FloatArray = np.asarray(np.linalg.inv(covariance), float)
-    push = np.einsum("nkij,nkj->nki", precision, mean)
+    linear = np.einsum("nkij,nkj->nki", precision, mean)
     with np.errstate(divide="ignore"):
         level = np.log(weight)
-    level = level - 0.5 * (np.linalg.slogdet(covariance)[1] + (push * mean).sum(axis=-1))
+    level = level - 0.5 * (np.linalg.slogdet(covariance)[1] + (linear * mean).sum(axis=-1))
     natural = _steepness_of_looks(mean, tangent, steepness)
-    level, push, precision = (a - b for a, b in zip((level, push, precision), natural, strict=True))
+    level, linear, precision = (
+        a - b for a, b in zip((level, linear, precision), natural, strict=True)
+    )
     if mean.shape[2] == 5:
         precision[:, :, LAW, LAW] -= np.diag(1 / LAW_VARIANCE)
-        push[:, :, LAW] -= LAW_MEAN / LAW_VARIANCE
+        linear[:, :, LAW] -= LAW_MEAN / LAW_VARIANCE
         level += 0.5 * (LAW_MEAN**2 / LAW_VARIANCE + np.log(LAW_VARIANCE)).sum()
-    return Information(level, push, precision)
+    return Information(level, linear, precision)
 
 
 def _steepness_of_looks(
     mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]
 ) -> Information:
-    """Prior of steepness over the coordinates of looks, linear about their means (N, K, D)."""
+    """Prior of steepness in the looks' coordinates, linearised about their means (N, K, D)."""
     median, sd = steepness
     if not np.isfinite(sd):
         return Information(np.zeros(mean.shape[:2]), 0 * mean, np.zeros((*mean.shape, 1)))
@@ -267,42 +256,42 @@ def _steepness_of_looks(
     )
 
 
-def _law_told(factor: Information, by_shape: FloatArray) -> LawTold:
+def _law_likelihood(factor: Information, by_shape: FloatArray) -> LawLikelihood:
     """Integrate f, contrast and azimuth out of looks."""
     rest = slice(0, LAW.start)
     inner = factor.precision[..., rest, rest]
     cross = factor.precision[..., rest, LAW]
-    right = np.concatenate([cross, factor.push[..., rest, None]], axis=-1)
+    right = np.concatenate([cross, factor.linear[..., rest, None]], axis=-1)
     solved = np.linalg.solve(inner, right)
     precision = factor.precision[..., LAW, LAW] - np.swapaxes(cross, -1, -2) @ solved[..., :-1]
-    push = factor.push[..., LAW] - np.einsum("...ji,...j->...i", cross, solved[..., -1])
+    linear = factor.linear[..., LAW] - np.einsum("...ji,...j->...i", cross, solved[..., -1])
     level = factor.level - 0.5 * np.linalg.slogdet(inner)[1]
-    level = level + 0.5 * (factor.push[..., rest] * solved[..., -1]).sum(axis=-1)
-    return LawTold(level, push, precision, by_shape)
+    level = level + 0.5 * (factor.linear[..., rest] * solved[..., -1]).sum(axis=-1)
+    return LawLikelihood(level, linear, precision, by_shape)
 
 
-def _doubted(factor: Information, law: LawTold) -> tuple[Information, LawTold]:
-    """Blur what looks tell of the law by the pulse's shape, and a little what contrast tells."""
+def _inflated(factor: Information, law: LawLikelihood) -> tuple[Information, LawLikelihood]:
+    """Inflate the errors of the law from the echo shape, and slightly those of contrast."""
     sd = np.maximum(law.by_shape[:, None] * SHIFT_SD, NONE)
     blurred = widened(Information(*law[:3]), sd[:, None, :])
-    told = LawTold(*blurred, law.by_shape)
-    push, precision = factor.push.copy(), factor.precision.copy()
-    push[..., LAW] += told.push - law.push
+    told = LawLikelihood(*blurred, law.by_shape)
+    linear, precision = factor.linear.copy(), factor.precision.copy()
+    linear[..., LAW] += told.linear - law.linear
     precision[..., LAW, LAW] += told.precision - law.precision
-    some = np.isfinite(law.level)  # not what fills up
+    some = np.isfinite(law.level)  # not the padding
     level = factor.level + np.subtract(told.level, law.level, where=some, out=np.zeros(some.shape))
     error = np.full((len(sd), 1, 5), NONE)
     error[..., LOG_HEIGHT] = np.maximum(LOCAL_LAW * law.by_shape[:, None], NONE)
-    return widened(Information(level, push, precision), error), told
+    return widened(Information(level, linear, precision), error), told
 
 
 def _by_shape(
     weight: FloatArray, mean: FloatArray, covariance: FloatArray, tangent: FloatArray
 ) -> FloatArray:
-    """Tell which looks (N,) know the law by the pulse's shape alone.
+    """Find the looks (N,) whose information on the law is from the echo shape alone.
 
-    Where geometry tells A_H, contrast follows the law as contrast per slope does; where nothing
-    does, contrast is known and does not follow the law.
+    Where geometry determines A_H, contrast varies with the law as contrast per slope does;
+    elsewhere contrast is known and does not depend on the law.
     """
     centre = np.einsum("nk,nki->ni", weight, mean)
     apart = mean - centre[:, None]
@@ -325,18 +314,18 @@ def at_height(looks: Looks, shared: Shared, scatter: FloatArray) -> Information:
     looks : Looks
     shared : Shared
     scatter : ndarray (N, 3)
-        Standard deviations by which a look strays from its cell: of log f, log A_H and azimuth.
+        Standard deviations of a look about its cell: of log f, log A_H and azimuth.
 
     Returns
     -------
     Information (N, K)
         Over log f, log A_H, azimuth, n and c; without n and c where the law is fixed.
     """
-    return strayed(placed(looks, shared), shared, scatter)
+    return with_scatter(without_scatter(looks, shared), shared, scatter)
 
 
-def placed(looks: Looks, shared: Shared) -> Information:
-    """Return looks as functions of A_H by the survey's law and altitudes, without scatter.
+def without_scatter(looks: Looks, shared: Shared) -> Information:
+    """Express looks in A_H through the survey's law and altitudes, without scatter.
 
     Parameters
     ----------
@@ -348,27 +337,27 @@ def placed(looks: Looks, shared: Shared) -> Information:
     Information (N, K)
         As :func:`at_height`.
     """
-    level, push, precision = looks.factor
+    level, linear, precision = looks.factor
     shift = looks.altitude_gain * shared.offset[looks.swath] / looks.altitude
-    place = np.zeros(push.shape)
-    place[:, :, LOG_HEIGHT] = -shift[:, None]
+    constant = np.zeros(linear.shape)
+    constant[:, :, LOG_HEIGHT] = -shift[:, None]
     if looks.law is None:
-        return _moved(level, push, precision, place, None)
+        return transformed(level, linear, precision, constant, None)
     gain, told = _shape_corrected(looks.law, shared)
-    push = push.copy()
-    push[..., LAW] += told - looks.law.push
+    linear = linear.copy()
+    linear[..., LAW] += told - looks.law.linear
     about = _law_of_looks(looks.law.precision, told, shared)
     slopes = contrast_slopes(about, looks.tangent[:, None])
-    place[:, :, LOG_HEIGHT] += log_contrast(about, looks.tangent[:, None])
-    place[:, :, LOG_HEIGHT] -= (slopes * about).sum(axis=-1)
-    turn = np.broadcast_to(np.eye(5), precision.shape).copy()
-    turn[:, :, LOG_HEIGHT, LAW] = slopes
-    # log contrast and the rest are turn u + place
-    return _moved(level + gain, push, precision, place, turn)
+    constant[:, :, LOG_HEIGHT] += log_contrast(about, looks.tangent[:, None])
+    constant[:, :, LOG_HEIGHT] -= (slopes * about).sum(axis=-1)
+    matrix = np.broadcast_to(np.eye(5), precision.shape).copy()
+    matrix[:, :, LOG_HEIGHT, LAW] = slopes
+    # log contrast and the rest are matrix u + constant
+    return transformed(level + gain, linear, precision, constant, matrix)
 
 
-def strayed(factor: Information, shared: Shared, scatter: FloatArray) -> Information:
-    """Blur looks by how far they stray from their cell, f, A_H, azimuth and law.
+def with_scatter(factor: Information, shared: Shared, scatter: FloatArray) -> Information:
+    """Widen looks by their scatter about their cell: f, A_H, azimuth and law.
 
     Parameters
     ----------
@@ -381,18 +370,18 @@ def strayed(factor: Information, shared: Shared, scatter: FloatArray) -> Informa
     Information (N, K)
     """
     wide = np.maximum(scatter, NONE)
-    if factor.push.shape[-1] == 5:
+    if factor.linear.shape[-1] == 5:
         of_look = np.sqrt(shared.of_look) * shared.spread
         wide = np.concatenate([wide, np.broadcast_to(of_look, (len(wide), 2))], axis=1)
     return widened(factor, wide[:, None, :])
 
 
-def evidence_of_law(law: LawTold, shared: Shared) -> FloatArray:
-    """Log evidence of looks at cells that no other look sees (N,): of their law alone.
+def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:
+    """Log evidence (N,) of looks that are alone at their cells, which depends on their law only.
 
     Parameters
     ----------
-    law : LawTold
+    law : LawLikelihood
     shared : Shared
 
     Returns
@@ -402,10 +391,10 @@ def evidence_of_law(law: LawTold, shared: Shared) -> FloatArray:
     gain, told = _shape_corrected(law, shared)
     weight = shared.spread**-2.0
     both = law.precision + np.diag(weight)
-    push = told + weight * shared.law
+    linear = told + weight * shared.law
     determinant = both[..., 0, 0] * both[..., 1, 1] - both[..., 0, 1] * both[..., 1, 0]
-    square = both[..., 1, 1] * push[..., 0] ** 2 + both[..., 0, 0] * push[..., 1] ** 2
-    square = square - 2 * both[..., 0, 1] * push[..., 0] * push[..., 1]
+    square = both[..., 1, 1] * linear[..., 0] ** 2 + both[..., 0, 0] * linear[..., 1] ** 2
+    square = square - 2 * both[..., 0, 1] * linear[..., 0] * linear[..., 1]
     possible = (determinant > 0) & (both[..., 0, 0] > 0)
     determinant = np.where(possible, determinant, 1.0)
     level = law.level + gain + 0.5 * (square / determinant - np.log(determinant))
@@ -413,61 +402,19 @@ def evidence_of_law(law: LawTold, shared: Shared) -> FloatArray:
     return np.asarray(logsumexp(np.where(possible, level, LEAST_LEVEL), axis=1))
 
 
-def _shape_corrected(law: LawTold, shared: Shared) -> tuple[FloatArray, FloatArray]:
-    """Take the shift off what shape tells: change of the level (N, K), and new push (N, K, 2)."""
+def _shape_corrected(law: LawLikelihood, shared: Shared) -> tuple[FloatArray, FloatArray]:
+    """Correct the bias of the echo shape: change of level (N, K), and new linear term (N, K, 2)."""
     shift = law.by_shape[:, None, None] * shared.shift
     pulled = np.einsum("nkij,nkj->nki", law.precision, shift)
-    return (shift * (law.push - 0.5 * pulled)).sum(axis=-1), law.push - pulled
+    return (shift * (law.linear - 0.5 * pulled)).sum(axis=-1), law.linear - pulled
 
 
-def _law_of_looks(precision: FloatArray, push: FloatArray, shared: Shared) -> FloatArray:
+def _law_of_looks(precision: FloatArray, linear: FloatArray, shared: Shared) -> FloatArray:
     """Mean law of each component (N, K, 2) under the survey's."""
     gain = np.diag(shared.spread**-2.0)
     return np.asarray(
-        np.linalg.solve(precision + gain, (push + gain @ shared.law)[..., None])[..., 0]
+        np.linalg.solve(precision + gain, (linear + gain @ shared.law)[..., None])[..., 0]
     )
-
-
-def _moved(
-    level: FloatArray,
-    push: FloatArray,
-    precision: FloatArray,
-    place: FloatArray,
-    turn: FloatArray | None,
-) -> Information:
-    """Factor of v as one of u, where v = turn u + place."""
-    pulled = np.einsum("nkij,nkj->nki", precision, place)
-    level = level + ((push - 0.5 * pulled) * place).sum(axis=-1)
-    push = push - pulled
-    if turn is None:
-        return Information(level, push, precision)
-    back = np.swapaxes(turn, -1, -2)
-    return Information(level, np.einsum("nkij,nkj->nki", back, push), back @ precision @ turn)
-
-
-def widened(factor: Information, sd: FloatArray) -> Information:
-    """Blur factors by independent Gaussians.
-
-    Parameters
-    ----------
-    factor : Information (..., K)
-    sd : ndarray (..., K, D)
-        Above 0; broadcasts.
-
-    Returns
-    -------
-    Information (..., K)
-    """
-    size = factor.push.shape[-1]
-    least = np.broadcast_to(sd, factor.push.shape) ** -2.0
-    both = factor.precision + least[..., :, None] * np.eye(size)
-    right = np.concatenate([factor.precision, factor.push[..., None]], axis=-1)
-    solved = np.linalg.solve(both, right)
-    push = factor.push - np.einsum("...ij,...j->...i", factor.precision, solved[..., -1])
-    precision = factor.precision - factor.precision @ solved[..., :-1]
-    level = factor.level + 0.5 * (factor.push * solved[..., -1]).sum(axis=-1)
-    level = level - 0.5 * (np.linalg.slogdet(both)[1] - np.log(least).sum(axis=-1))
-    return Information(level, push, 0.5 * (precision + np.swapaxes(precision, -1, -2)))
 
 
 def law_factor(shared: Shared, with_law: bool) -> Information:
@@ -485,17 +432,17 @@ def law_factor(shared: Shared, with_law: bool) -> Information:
         Of one component.
     """
     size = 5 if with_law else 3
-    push, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
+    linear, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
     if with_law:
         variance = (1 - shared.of_look) * shared.spread**2
-        push[0, LAW] = shared.law / variance
+        linear[0, LAW] = shared.law / variance
         precision[0, LAW, LAW] = np.diag(1 / variance)
         level[0] = -0.5 * (shared.law**2 / variance + np.log(variance)).sum()
-    return Information(level, push, precision)
+    return Information(level, linear, precision)
 
 
 def steepness_factor(size: int, steepness: tuple[float, float]) -> Information:
-    """Prior of natural steepness as a factor of log f and log A_H, which each look has had.
+    """Prior of natural steepness as a factor of log f and log A_H.
 
     Parameters
     ----------
@@ -509,56 +456,13 @@ def steepness_factor(size: int, steepness: tuple[float, float]) -> Information:
     Information ()
         Of one component.
     """
-    push, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
+    linear, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
     median, sd = steepness
     if np.isfinite(sd):
         both = np.zeros(size)
         both[[LOG_F, LOG_HEIGHT]] = 1.0
         middle = np.log(0.5 * median)
-        push[0] = middle * both / sd**2
+        linear[0] = middle * both / sd**2
         precision[0] = np.outer(both, both) / sd**2
         level[0] = -0.5 * (middle / sd) ** 2 - np.log(sd)
-    return Information(level, push, precision)
-
-
-def normalised(factor: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Log of the integral (...), mean (..., D) and covariance (..., D, D) of each component."""
-    covariance: FloatArray = np.asarray(np.linalg.inv(factor.precision), float)
-    mean: FloatArray = np.einsum("...ij,...j->...i", covariance, factor.push)
-    sign, determinant = np.linalg.slogdet(factor.precision)
-    level = factor.level + 0.5 * (factor.push * mean).sum(axis=-1) - 0.5 * determinant
-    return np.where(sign > 0, level, -np.inf), mean, covariance
-
-
-def multiplied(first: Information, second: Information) -> Information:
-    """Multiply mixtures: every component of the one with every one of the other.
-
-    Parameters
-    ----------
-    first, second : Information (..., K1) and (..., K2)
-
-    Returns
-    -------
-    Information (..., K1 K2)
-    """
-    level = first.level[..., :, None] + second.level[..., None, :]
-    push = first.push[..., :, None, :] + second.push[..., None, :, :]
-    precision = first.precision[..., :, None, :, :] + second.precision[..., None, :, :, :]
-    lead, size = level.shape[:-2], push.shape[-1]
-    return Information(
-        level.reshape(*lead, -1),
-        push.reshape(*lead, -1, size),
-        precision.reshape(*lead, -1, size, size),
-    )
-
-
-def heaviest(factor: Information, level: FloatArray, most: int) -> Information:
-    """Keep the components of the largest `level` (..., K), at most so many."""
-    if level.shape[-1] <= most:
-        return factor
-    kept = np.argsort(-level, axis=-1, kind="stable")[..., :most]
-    return Information(
-        np.take_along_axis(factor.level, kept, -1),
-        np.take_along_axis(factor.push, kept[..., None], -2),
-        np.take_along_axis(factor.precision, kept[..., None, None], -3),
-    )
+    return Information(level, linear, precision)

@@ -207,8 +207,9 @@ def rivals(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]
     """Look for peaks that climbs from the scan's starts do not reach.
 
     Where shadow covers most of a wavelength, lit crests look alike from several heights and
-    profiles. Climbs from the best peak with its law, its profile or its blur moved reach the others: of 39
-    drawn histograms all come within a log unit of the truth's peak, 30 by :func:`search` alone.
+    profiles. Climbs from the best peak with its law, its profile or its blur moved reach the
+    others: of 39 drawn histograms all come within a log unit of the truth's peak, 30 by
+    :func:`search` alone.
 
     Parameters
     ----------

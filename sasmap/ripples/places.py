@@ -1,7 +1,7 @@
-"""What a wave of a clip's spectrum looks like in the clip: ripples, lines, or a thing on the floor.
+"""Appearance of a spectral peak in the clip: ripples, lines, or an object.
 
-A spectrum does not tell several waves of a floor from one edge, a few lines or a wreck's ribs.
-Where the wave's energy lies, and the shape of its crests, do.
+A spectrum alone does not separate ripples from an edge, a few lines or the ribs of a wreck. The
+distribution of the wave's energy over the clip, and the shape of its crests, do.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from sasmap.ripples.pixels import box_sums, profile_boxes, wave_boxes
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Least strip along the crest normal, over the clip's longer side.
+# Narrowest strip along the crest normal, over the clip's longer side (a choice).
 STRIP = 1 / 16
-# Parts of a wavelength in which a crest's shape is told, of waves that are long enough.
+# Bins of the profile per wavelength, where it has enough pixels.
 FINE, LONG_ENOUGH = 6, 12.0
-# Share of a profile's variance that is not speckle from which its shape begins to count, and fully.
+# Ramp of the share of a profile's variance that is not speckle, over which its shape counts.
 SHAPE_FROM, SHAPE_SURE = 0.3, 0.6
-# Skewness of a profile whose lines are dark, and of one whose lines are not: where shadow sets in
-# it is -0.7 to -0.9, of marks and things on the floor 0 to 3 (pipelines/ripples/floors.py).
+# Ramp of the skewness between profiles with dark lines and others: where shadow sets in it is -0.7
+# to -0.9, for marks and objects 0 to 3 (pipelines/ripples/floors.py).
 DARK_SKEW = (-0.5, -0.2)
-# Share of a clip that a thing's waves cover at most, and surely; level (of the clip's) of shadow;
-# weights of brightness and of shadow. Of simulated wrecks: 1.2 to 1.6 times as bright as the floor,
-# 1 to 8 % of the clip in shadow, 3 to 13 % of it covered; ripples are 0.96 to 1.05 times as bright.
+# Ramp of the share of a clip that an object covers; level of shadow over the clip's; weights of
+# brightness and of shadow. Simulated wrecks are 1.2 to 1.6 times as bright as the floor, have 1 to
+# 8 % of the clip in shadow and cover 3 to 13 % of it; ripples are 0.96 to 1.05 times as bright.
 LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 14.0, 55.0
-# Pixels a side of the boxes that tell how an image was compressed, standard deviation of Rayleigh
-# speckle over its mean, and the least power that is believed.
+# Pixels a side of the boxes in which the display power is estimated, standard deviation of Rayleigh
+# speckle over its mean, and least plausible power.
 SPECKLED, RAYLEIGH, LEAST_POWER = 8, 0.523, 0.3
 
 
 class Extents(NamedTuple):
-    """Over how many wavelengths a wave extends.
+    """Extent of a wave in wavelengths.
 
     Attributes
     ----------
     normal, crests : float
         Along its normal, and along its crests.
     room : float
-        What there is to extend over along the normal, over that along the crests.
+        Available length along the normal over that along the crests.
     """
 
     normal: float
@@ -55,11 +55,11 @@ def _width(shape: tuple[int, ...], wave: tuple[float, float]) -> float:
 
 
 def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extents:
-    """Tell how far a wave's energy extends in a clip, or in a part of it: participation ratios.
+    """Measure how far a wave's energy extends in a clip or a part of it: participation ratios.
 
-    Mean over strips along the normal (and over wavelengths, along the crests), by their energy: a
-    boundary crosses each strip once. Coherent sums over boxes a wavelength long and a strip wide,
-    less what speckle leaves in them.
+    Energy-weighted mean over strips along the normal (and over wavelengths, along the crests): a
+    boundary crosses each strip once. The energies are of coherent sums over boxes a wavelength long
+    and a strip wide, with that of speckle subtracted.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
         Amplitude over its trend, less 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     turned, noise, count = wave_boxes(flat, valid, *wave, width)
     full = count > 0.5 * np.quantile(count[count > 0], 0.9)
     mean_noise = noise.sum() / max(count.sum(), 1.0)
-    # a box of one bright thing weighs no more than the rest
+    # a box with one bright object weighs no more than the rest
     excess = np.abs(turned) ** 2 - np.maximum(noise, mean_noise * count)
     energy = np.maximum(np.where(full, excess / np.maximum(count, 1.0), 0.0), 0.0)
     wide = width * float(np.hypot(*wave))
@@ -87,7 +87,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
 
 
 def _participation(energy: FloatArray, axis: int) -> float:
-    """Boxes along an axis that energy is spread over, a mean by energy."""
+    """Count the boxes along an axis over which energy is spread, an energy-weighted mean."""
     line, square = energy.sum(axis=axis), (energy**2).sum(axis=axis)
     if not square.max() > 0:
         return 0.0
@@ -96,7 +96,7 @@ def _participation(energy: FloatArray, axis: int) -> float:
 
 
 def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
-    """Amplitude of a wave where it is: mean over boxes a wavelength a side, by their energy.
+    """Local amplitude of a wave: energy-weighted mean over boxes a wavelength a side.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> fl
 
 
 def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
-    """Tell how far crests are thin bright lines with wide gaps.
+    """Measure how far crests are thin bright lines with wide gaps.
 
     Parameters
     ----------
@@ -127,9 +127,9 @@ def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float
     Returns
     -------
     float
-        Excess kurtosis of profiles across the crests: -1.5 of a sine, 0 of crests of a fifth of a
-        wave, positive of lines. Speckle, averaged, gives none; thin dark lines are the shadows of
-        low ripples and count for nothing.
+        Excess kurtosis of profiles across the crests: -1.5 for a sine, 0 for crests a fifth of a
+        wavelength wide, positive for lines. Averaged speckle gives 0; thin dark lines are shadows
+        of low ripples and do not count.
     """
     wave = float(per_pixel[0]), float(per_pixel[1])
     variance = float((flat**2).sum()) / max(int(valid.sum()), 1)
@@ -149,11 +149,11 @@ def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float
 
 
 def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
-    """How much a wave looks like a thing on the floor: bright, in one place, with a shadow.
+    """Measure how much a wave resembles an object: bright, in one place, with a shadow.
 
-    Ripples scatter as much as the floor around them, over a wavelength, and their shadow is
-    shorter than one. What a wreck's ribs show is small, brighter than the floor, and beside it the
-    floor lies dark.
+    Averaged over a wavelength, ripples scatter as much as the floor around, and their shadow is
+    shorter than a wavelength. The ribs of a wreck are small, brighter than the floor, and beside a
+    dark shadow.
 
     Parameters
     ----------
@@ -161,12 +161,12 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
         Amplitude of the whole clip over its trend, less 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
     float
-        1 where it is as likely a thing as not.
+        1 where an object is as likely as not.
     """
     wave = float(per_pixel[0]), float(per_pixel[1])
     size = max(round(1 / float(np.hypot(*wave))), 2)
@@ -191,9 +191,9 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
 
 
 def _compression(flat: FloatArray, valid: BoolArray) -> float:
-    """Power of the amplitude that a clip shows: below 1 where it was scaled for display.
+    """Estimate the display power of a clip: below 1 where amplitude was compressed.
 
-    Tells by the speckle of small boxes, which has a standard deviation of 0.52 of its mean.
+    Uses the speckle of small boxes, whose standard deviation is 0.52 of the mean in amplitude.
     """
     mean, count = box_sums(flat, valid, 0.0, 0.0, SPECKLED)
     square = box_sums(flat**2, valid, 0.0, 0.0, SPECKLED)[0].real

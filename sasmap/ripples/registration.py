@@ -1,8 +1,8 @@
-"""Registration of passes by the crests that they see.
+"""Registration of passes from the positions of crests.
 
-Where the phases of all cells agree on one shift of a pass over the map, the pass lies wrong; crests
-that migrate do so each by its own distance. Crests tell a shift along their normal and up to whole
-wavelengths; cells of many directions and wavelengths together tell all of it.
+Where the phases of all cells agree on one shift of a pass over the map, the pass is misregistered;
+migration differs from cell to cell. Crests determine a shift along their normal, modulo a
+wavelength; cells of several directions and wavelengths together determine it completely.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Standard deviation of registration before crests are looked at, m, how far is searched, over that,
-# and at what steps, over the shortest wavelength.
+# Prior standard deviation of registration, m (differential GPS), range of the search over it, and
+# step of the search over the shortest wavelength.
 USUAL, REACH, STEP = 0.5, 3.0, 0.1
-# Error of a phase that looks do not tell, cycles, and share of cells whose crests have migrated.
+# Additional error of a phase, cycles, and prior share of cells with migrated crests (choices).
 PHASE_ERROR, MIGRATED = 0.02, 0.3
-# Gain in log likelihood over no shift, number and share of the cells that must agree, and standard
-# deviations within which they do.
+# Least gain in log likelihood over no shift, least number and share of agreeing cells, and standard
+# deviations within which a cell agrees (docs/science.md, Registration and migration).
 GAIN, LEAST_CELLS, LEAST_SHARE, AGREE = 8.0, 5, 0.5, 3.0
-# Cells that a shift is learned from at most; sweeps over the passes; points looked at together.
+# Most cells from which a shift is estimated; sweeps over the passes; grid points evaluated at once.
 MOST_CELLS, SWEEPS, CHUNK = 400, 3, 256
 
 
 class Moves(NamedTuple):
-    """How far crests of looks lie from those of the first look at their cell; arrays (M,).
+    """Displacements of crests from those of the first look at their cell; arrays (M,).
 
     Attributes
     ----------
     first, swath : ndarray of int
         Passes of the two looks.
     distance, sd : ndarray
-        m along the normal, up to whole wavelengths.
+        m along the normal, modulo a wavelength.
     wavelength : ndarray
         m.
     normal : ndarray (M, 2)
@@ -51,7 +51,7 @@ class Moves(NamedTuple):
 
 
 def left_over(moves: Moves, shifts: FloatArray) -> FloatArray:
-    """Distances less what passes are shifted, from minus half to half a wavelength.
+    """Distances minus the shifts of the passes, from minus half to half a wavelength.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def left_over(moves: Moves, shifts: FloatArray) -> FloatArray:
 
 
 def registration(moves: Moves, passes: int) -> FloatArray:
-    """Estimate how far passes are shifted over the map, from crests that have not migrated.
+    """Estimate the shifts of passes over the map from crests that have not migrated.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def registration(moves: Moves, passes: int) -> FloatArray:
     Returns
     -------
     ndarray (passes, 2)
-        East and north, m: where the pass shows what the first shows at 0. 0 for passes of which
-        cells do not agree on a shift.
+        East and north, m, relative to the first pass. 0 for passes whose cells do not agree on a
+        shift.
     """
     shifts = np.zeros((passes, 2))
     for _ in range(SWEEPS if passes > 2 else 1):
@@ -108,7 +108,7 @@ def _shift_of(k: int, moves: Moves, shifts: FloatArray) -> FloatArray:
     side = np.arange(-np.ceil(REACH * USUAL / step), np.ceil(REACH * USUAL / step) + 1) * step
     grid = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     parts = np.split(grid, np.arange(CHUNK, len(grid), CHUNK))
-    # a blur of a step, so that no peak falls between the points of the grid
+    # widened by a step, so that no peak falls between the points of the grid
     wide = np.hypot(sd, 0.5 * step)
     levels = np.concatenate([_level(p, rest, normal, mine.wavelength, wide) for p in parts])
     best = grid[int(np.argmax(levels))]
@@ -134,7 +134,7 @@ def _level(
     wavelength: FloatArray,
     sd: FloatArray,
 ) -> FloatArray:
-    """Log posterior of shifts (n, 2); a cell whose crests have migrated may have any phase."""
+    """Log posterior of shifts (n, 2); a cell with migrated crests may have any phase."""
     apart = _wrapped(rest - points @ normal.T, wavelength)
     peak = wavelength / (np.sqrt(2 * np.pi) * sd) * np.exp(-0.5 * (apart / sd) ** 2)
     likelihood = np.log(MIGRATED + (1 - MIGRATED) * peak).sum(axis=1)
@@ -148,7 +148,7 @@ def _refined(
     wavelength: FloatArray,
     sd: FloatArray,
 ) -> FloatArray:
-    """Shift by least squares over the cells that agree with one."""
+    """Refine a shift by least squares over the cells that agree with it."""
     apart = _wrapped(rest - normal @ point, wavelength)
     peak = wavelength / (np.sqrt(2 * np.pi) * sd) * np.exp(-0.5 * (apart / sd) ** 2)
     weight = (1 - MIGRATED) * peak / (MIGRATED + (1 - MIGRATED) * peak) / sd**2

@@ -1,11 +1,11 @@
-"""Peaks of a clip's spectrum, and the evidence for each against spectra without one.
+"""Peaks of a clip's spectrum, and the evidence for each against smooth spectra.
 
 Amplitude over its trend is transformed, for the whole clip and for its parts, and its power is
 summed over cells of wave vectors: a quarter octave of wavelength by twelve degrees. Ripples are a
-peak in direction and in wavelength alike, however their crests bend, fork and end: a broad peak
-where they do, a narrow one where they do not. The rivals have no such peak: texture and correlated
-speckle have power in all directions; trends, edges, bands and grain have more at longer waves;
-lines and objects as much at shorter ones.
+peak in both direction and wavelength, broad where their crests bend, fork and end, narrow where
+they do not. The alternatives have no such peak: texture and correlated speckle have power in all
+directions; trends, edges, bands and grain have more at longer wavelengths; lines and objects as
+much at shorter ones. Constants without another source were set with pipelines/ripples/presence.py.
 """
 
 from __future__ import annotations
@@ -24,35 +24,38 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Part = tuple[slice, slice]
 
-# A clip must hold this many wavelengths, and a wavelength this many pixels, to show a ripple.
+# Fewest wavelengths per clip, and pixels per wavelength, for ripples to be detected.
 MIN_WAVES = 3.5
 MIN_PIXELS = 4.0
-# Cells of wave vectors: directions in half a turn, and cells an octave of wavelength.
+# Cells of wave vectors: directions in half a turn, and cells per octave of wavelength.
 DIRECTIONS, OCTAVE = 15, 4
-# Directions from a peak on (of 12 degrees) and cells of wavelength (quarter octaves) that tell what
-# power is there without it: beyond the reach of a peak whose crests fork every few wavelengths.
+# Distance from a peak in directions (of 12 degrees), and in cells of wavelength (quarter octaves),
+# of the cells that give the level without it: beyond the width of a peak whose crests fork every
+# few wavelengths.
 ASIDE, LONGER, SHORTER = 4, (4, 7), (-4, -2)
-# Cells of wavelength and of direction that a wave whose crests bend reaches to either side.
+# Half-width, in cells of wavelength and of direction, of the peak of a wave whose crests bend.
 REACH = (2.0, 2.0)
-# Zeros added to a side of the image, over its length, and variance of a bin's power that the taper
-# and they leave: independent bins over bins.
+# Padded over original side of the image, and bins per independent bin after taper and padding
+# (computed from the two).
 PADDING, INDEPENDENT = 1.3, 1.5
-# Parts of a clip: half as long, at every quarter, where they have this many pixels a side.
+# Parts of a clip, half as long, at every quarter: fewest pixels a side of parts, and of halves.
 MIN_PART, MIN_HALF = 80, 60
-# Bins elsewhere that a level without a peak is known from, over a peak's; most bins of a peak (no
-# spectrum is so smooth that more would tell more); a ratio beyond which nothing more is told.
+# Bins of the level without a peak over those of the peak; most bins of a peak that count (no
+# spectrum is smooth enough for more); largest ratio of power that counts.
 REFERENCE, MOST_BINS, MOST = 2.0, 12.0, 300.0
-# How uneven in direction grain makes the spectrum of a floor without ripples; power over that at
-# shorter waves where there are none.
+# Anisotropy of the spectrum that grain causes without ripples; power over that at shorter
+# wavelengths where there are none to compare with.
 UNEVEN, NO_SHORTER = 1.3, 2.5
-# Nats by which a rival may be further off than the likeliest and still count.
+# Most nats by which the evidence against an alternative may exceed the least of them and still
+# count.
 HEADWAY = 5.0
-# Bins around a narrow peak that tell its level, and log of the bins that it is the highest of.
+# Bins around a narrow peak that give its level, and log of the number of bins that it is chosen
+# from.
 LINE_BINS, LINE_TRIALS = 12.0, 2.0
-# Peaks of a part that are kept.
+# Most peaks kept per part: bounds the time.
 MOST_PEAKS = 6
-# Evidence below which a peak is not looked at, valid share of a part, share of MIN_WAVES that a
-# cell's middle may lie below, and reaches of a peak's centroid, of its wave vector.
+# Least evidence of a peak, least valid share of a part, least wave number of a cell's centre over
+# MIN_WAVES, and radii of the centroid of a peak over its wave number.
 WORTH, MIN_VALID, NEARLY, SPANS = 6.0, 0.4, 0.85, (0.3, 0.5)
 
 
@@ -64,15 +67,15 @@ class Table(NamedTuple):
     level : ndarray
         Mean power around each cell, over the variance of white noise.
     bins : ndarray
-        Independent bins that it rests on.
+        Number of independent bins in it.
     aside, longer, shorter : ndarray
-        Mean power at other directions, longer and shorter waves.
+        Mean power at other directions, longer and shorter wavelengths.
     narrow : ndarray
         Highest bin around each cell.
     power : list of ndarray
-        The transforms'.
+        Of the transforms.
     full : tuple of int
-        Their size.
+        Size of the transforms.
     """
 
     level: FloatArray
@@ -92,7 +95,7 @@ def taper(count: int) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _ring(steps: tuple[tuple[int, float], ...]) -> FloatArray:
-    """Matrix (directions, directions) that sums a table over directions, which go round."""
+    """Matrix (directions, directions) that sums a table over directions, periodically."""
     return np.asarray(sum(w * np.roll(np.eye(DIRECTIONS), k, axis=1) for k, w in steps))
 
 
@@ -106,7 +109,8 @@ def _all(first: int, last: int) -> tuple[tuple[int, float], ...]:
     return tuple((k, 1.0) for k in range(first, last))
 
 
-# Sums over the cells beside each and itself: neighbours by half, directions near by, and aside.
+# Sums over each cell and its neighbours (at half weight), over near directions, and over other
+# ones.
 _SOFT = ((-1, 0.5), (0, 1.0), (1, 0.5))
 _NEAR, _ASIDE = _all(-1, 2), _all(ASIDE, DIRECTIONS - ASIDE + 1)
 
@@ -116,7 +120,7 @@ def _mean(values: FloatArray, count: FloatArray) -> FloatArray:
 
 
 def _highest_around(values: FloatArray) -> FloatArray:
-    """Highest of three by three cells; directions go round."""
+    """Maximum over three by three cells; directions are periodic."""
     wide = np.maximum(np.maximum(values, np.roll(values, 1, -1)), np.roll(values, -1, -1))
     tall = wide.copy()
     np.maximum(tall[..., 1:, :], wide[..., :-1, :], out=tall[..., 1:, :])
@@ -131,11 +135,11 @@ class Cells:
     Attributes
     ----------
     number : ndarray of int
-        Cell of each bin of the transform, -1 of none.
+        Cell of each bin of the transform, -1 for none.
     count : ndarray (wavelengths, directions)
         Bins.
     around : ndarray (wavelengths, directions)
-        Bins of the cells around each, its neighbours' by half.
+        Bins of each cell and its neighbours, the latter at half weight.
     """
 
     number: NDArray[np.int32]
@@ -153,7 +157,7 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
     direction = np.floor(turn / np.pi * DIRECTIONS + 0.5).astype(np.int64) % DIRECTIONS
     lengths = int(np.ceil(np.log2(1.3 * max(shape) / MIN_PIXELS) * OCTAVE))
     used = (number >= 0) & (number < lengths)
-    used[full[0] // 2 + 1 :, 0] = False  # the mirror image of the other half of this column
+    used[full[0] // 2 + 1 :, 0] = False  # mirror image of the other half of this column
     cell = np.where(used, number * DIRECTIONS + direction, -1).astype(np.int32)
     counted = np.bincount(cell[used], minlength=lengths * DIRECTIONS)
     count = counted.reshape(lengths, DIRECTIONS).astype(float)
@@ -161,7 +165,7 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
 
 
 def _transform(flat: FloatArray, valid: BoolArray, full: tuple[int, int]) -> NDArray[np.complex64]:
-    """Transform a tapered image, zeros added; its squares are over the variance of white noise."""
+    """Transform a tapered, padded image, scaled so that power is over that of white noise."""
     rows, columns = (taper(n) for n in flat.shape)
     pixels = float((rows**2) @ (valid @ (columns**2)))
     rows = rows / np.sqrt(max(pixels, 1e-9))
@@ -171,7 +175,7 @@ def _transform(flat: FloatArray, valid: BoolArray, full: tuple[int, int]) -> NDA
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cell_sums(spectrum, cell, cells):  # type: ignore[no-untyped-def]
-    """Power of a transform, and its sum and highest over cells (-1: of none)."""
+    """Power of a transform, and its sum and maximum over cells (-1: none)."""
     rows, columns = spectrum.shape
     power = np.empty((rows, columns), np.float32)
     total, highest = np.zeros(cells), np.zeros(cells)
@@ -187,7 +191,7 @@ def _cell_sums(spectrum, cell, cells):  # type: ignore[no-untyped-def]
 
 
 def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
-    """1 at the cells (wavelengths, directions) out of reach of a known wave, 0 at others."""
+    """1 at the cells (wavelengths, directions) outside the peak of a known wave, 0 at others."""
     length = np.log2(1 / (float(np.hypot(*known)) * MIN_PIXELS)) * OCTAVE
     turn = np.arctan2(known[1], known[0]) / np.pi * DIRECTIONS
     direction = np.abs((np.arange(shape[1]) - turn + DIRECTIONS / 2) % DIRECTIONS - DIRECTIONS / 2)
@@ -200,7 +204,7 @@ def _table(
 ) -> Table:
     """Transform parts of a clip, all of one shape, and sum their power over cells.
 
-    What is within reach of a known wave (cycles a column and a row) is left out.
+    Cells within the peak of a known wave (cycles per column and row) are left out.
     """
     shape = flat[parts[0]].shape[0], flat[parts[0]].shape[1]
     rows, columns = (next_fast_len(int(PADDING * n), True) for n in shape)
@@ -244,15 +248,15 @@ class Peak(NamedTuple):
     Attributes
     ----------
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
     evidence : float
-        Log Bayes factor of a peak against a spectrum without one.
+        Log likelihood ratio of a peak against a spectrum without one.
     waves : float
-        Wavelengths that the part holds along it.
+        Number of wavelengths in the part.
     energy : float
-        Its power over the variance of white noise, times the share of the clip that the part is.
+        Its power over the variance of white noise, times the part's share of the clip.
     above : float
-        Share of its power that is not in other directions too.
+        Share of its power above the level in other directions.
     part : tuple of slice
         Rows and columns of the part.
     """
@@ -266,10 +270,10 @@ class Peak(NamedTuple):
 
 
 def _over(bins: FloatArray, ratio: FloatArray) -> FloatArray:
-    """Log Bayes factor of power `ratio` times what twice as many bins elsewhere have.
+    """Log likelihood ratio of power `ratio` times the level of twice as many reference bins.
 
-    Of exponential laws with a level of their own against one level, levels known by the bins alone
-    (likelihood ratio of two Gamma laws).
+    For exponential laws with separate levels against a common one, the levels being estimated
+    (likelihood ratio of two gamma distributions).
     """
     both = REFERENCE + 1
     level = (ratio + REFERENCE) / both
@@ -278,12 +282,12 @@ def _over(bins: FloatArray, ratio: FloatArray) -> FloatArray:
 
 
 def _evidence(table: Table) -> FloatArray:
-    """Log Bayes factor of a peak at each cell against spectra without one.
+    """Log likelihood ratio of a peak at each cell against spectra without one.
 
-    A broad peak stands out of three spectra: that of texture, which has no direction, that of
-    trends and edges, which grows with the wavelength, and that of lines and objects, which does not
-    fall off at shorter waves. No one of them may count for much more than the least. A narrow one
-    stands out of the highest.
+    A broad peak is compared with three spectra: that of texture, which has no direction, that of
+    trends and edges, which grows with wavelength, and that of lines and objects, which does not
+    fall off at shorter wavelengths. Each may exceed the least evidence by a limited amount only. A
+    narrow peak is compared with the highest of the three.
     """
     bins = table.bins / (1 + table.bins / MOST_BINS)
     rivals = np.stack([table.aside * UNEVEN, table.longer, table.shorter])
@@ -302,7 +306,7 @@ def _evidence(table: Table) -> FloatArray:
 def _peaks(
     flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
 ) -> Iterator[list[Peak]]:
-    """Find peaks of the spectra of parts of a clip, all of one shape, the likeliest first."""
+    """Find peaks of the spectra of a clip's parts of one shape, the likeliest first."""
     table = _table(flat, valid, parts, known)
     evidence = _evidence(table)
     lengths, directions = table.level.shape[1:]
@@ -332,9 +336,9 @@ def _peaks(
 def _centroid(
     power: NDArray[np.float32], full: tuple[int, int], per_pixel: FloatArray, span: float
 ) -> FloatArray:
-    """Centre of the squared power around a wave, cycles a column and a row.
+    """Centroid of the squared power around a wave, cycles per column and row.
 
-    `span` is how far around, over the wave number: crests that bend and fork spread power.
+    `span` is its radius over the wave number: crests that bend and fork spread power.
     """
     rows, columns = full
     reach = span * float(np.hypot(*per_pixel))
@@ -343,7 +347,7 @@ def _centroid(
         np.arange(int(np.floor(n * (m - reach))), int(np.ceil(n * (m + reach))) + 1)
         for n, m in sides
     )
-    # of a real image's transform, the half plane that was not computed is the other one turned
+    # for a real image, the half plane that was not computed is the rotated other one
     mirrored = np.where(right < 0, -1, 1)
     here = power[(mirrored * down[:, None]) % rows, np.minimum(np.abs(right), power.shape[1] - 1)]
     east, north = right / columns, down[:, None] / rows
@@ -356,7 +360,7 @@ def _centroid(
 def _parts(shape: tuple[int, int]) -> list[Part]:
     """Rows and columns of the whole, of halves and of quarters of a clip, at every quarter.
 
-    Halves of large clips are left out: their quarters hold enough waves.
+    Halves of large clips are left out: their quarters hold enough wavelengths.
     """
 
     def pieces(size: int) -> list[slice]:
@@ -374,7 +378,7 @@ def _parts(shape: tuple[int, int]) -> list[Part]:
 
 
 def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
-    """Find the peaks of a clip's spectrum and of its parts', the whole's first.
+    """Find the peaks of the spectra of a clip and of its parts, those of the whole first.
 
     Parameters
     ----------
@@ -398,9 +402,9 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
 
 
 def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[Peak]:
-    """Find the peaks of a clip's spectrum beside a wave that it is known to have.
+    """Find the peaks of a clip's spectrum beside a known wave.
 
-    What two systems of waves have hides each from a comparison with other directions and lengths.
+    Two systems of waves mask each other in the comparison with other directions and wavelengths.
 
     Parameters
     ----------
@@ -408,12 +412,12 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
         Amplitude over its trend, less 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     known : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
     list of Peak
-        The likeliest first, none within reach of the known wave.
+        The likeliest first, none within the peak of the known wave.
     """
     whole = slice(0, flat.shape[0]), slice(0, flat.shape[1])
     if valid.mean() < MIN_VALID:
@@ -423,12 +427,12 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
 
 
 def within_reach(one: FloatArray, other: FloatArray) -> bool:
-    """Whether a wave may be another one whose crests bend.
+    """Whether a wave lies within the peak of another one whose crests bend.
 
     Parameters
     ----------
     one, other : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""What the looks of a survey share, learned from all of them: the second stage of the estimate.
+"""Shared parameters of a survey's looks: the second stage of the estimate.
 
-Looks at cells are estimated each by itself, under a broad prior of the scattering law. What they
-share is estimated here from their posteriors (Lunn, Barrett, Sweeting and Thompson 2013): the law's
-mean and its spread from look to look, each swath's altitude offset, and how far passes over one
-cell stray from each other. A look with shadow tells the law that a look without needs.
+Each look at a cell is estimated alone, under a broad prior of the scattering law. The shared
+parameters are estimated here from the looks' posteriors (Lunn, Barrett, Sweeting and Thompson
+2013): mean of the law and its spread from look to look, altitude offset of each swath, and scatter
+between passes over one cell. Looks with shadow inform the law for looks without.
 """
 
 from __future__ import annotations
@@ -15,22 +15,19 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logsumexp
 
+from sasmap.ripples.information import Information, heaviest, moments, multiplied
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
     LEAST_LEVEL,
     SHIFT_SD,
-    Information,
-    LawTold,
+    LawLikelihood,
     Looks,
     Shared,
     evidence_of_law,
-    heaviest,
     law_factor,
-    multiplied,
-    normalised,
-    placed,
-    strayed,
+    with_scatter,
+    without_scatter,
 )
 from sasmap.ripples.sampler import (
     LogDensity,
@@ -42,38 +39,40 @@ from sasmap.ripples.summary import log_contrast
 
 FloatArray = NDArray[np.float64]
 
-# Prior of the log of the law's spread from look to look (n, c): its mean and standard deviation.
+# Prior of the log spread of the law (n, c) from look to look: mean and standard deviation.
 # Sediments of one survey differ by a few tenths of n (Jackson and Richardson 2007, chapter 12).
 SPREAD_LOG, SPREAD_SD = np.log([0.25, 0.12]), 0.7
-# Largest spread over the law's prior standard deviation.
+# Largest spread over the prior standard deviation of the law.
 MOST_SPREAD = 0.95
-# Prior of the log of the scatter between passes, of log f, log A_H and azimuth (degrees).
+# Prior of the log scatter between passes, of log f, log A_H and azimuth (degrees): mean and
+# standard deviation (choices: small beside the error of a look, and wide).
 SCATTER_LOG, SCATTER_SD = np.log([3e-4, 0.01, 0.1]), np.array([1.0, 0.8, 0.8])
-# Prior of the logit of the share of the law's variance that is of the look: one in five, about.
+# Prior of the logit of the share of the law's variance from look to look within a cell: about one
+# in five.
 SHARE_LOGIT, SHARE_SD = -1.4, 1.0
-# Passes that differ: how often, and the scatter they have.
+# Differing passes: probability, and their scatter (choices: rare, and wide enough to be harmless).
 ODD, ODD_SCATTER = 0.03, np.array([0.15, 0.4, 10.0])
-# Components of a product of looks that are kept.
+# Most components kept in a product of looks: bounds time and memory.
 MOST_KEPT = 6
-# Degrees of freedom of the priors of altitude offsets and of what the pulse's shape tells wrong: a
-# large one is no Gaussian's tail.
+# Degrees of freedom of the priors of altitude offsets and of the bias from the echo shape: heavier
+# tails than a Gaussian.
 FREEDOM = 4.0
-# Looks that the shared values are learned from at most: more would not change them.
+# Most looks from which shared parameters are estimated: more would not change them.
 MOST_LOOKS = 400
-# Step of numerical derivatives; rounds of the climb, and how far it goes, in the prior's standard
-# deviations; chains and their steps; values that stand for the posterior.
+# Step of numerical derivatives; iterations of the ascent and its largest step, in prior standard
+# deviations; chains and their steps; number of draws that represent the posterior.
 STEP, CLIMB, FARTHEST, CHAINS, STEPS, VALUES = 1e-2, 40, 5.0, 4, 60, 24
 
 
 class SurveyModel(NamedTuple):
-    """Posterior of what looks share.
+    """Posterior of the shared parameters.
 
     Attributes
     ----------
     values : tuple of Shared
-        Of equal weight.
+        Draws of equal weight.
     learned : bool
-        Whether the law was estimated, not fixed by the settings.
+        Whether the law was estimated rather than fixed by the settings.
     """
 
     values: tuple[Shared, ...]
@@ -81,12 +80,12 @@ class SurveyModel(NamedTuple):
 
     @property
     def middle(self) -> Shared:
-        """Mean of the values."""
+        """Mean over the draws."""
         return Shared._make(np.mean(v, axis=0) for v in zip(*self.values, strict=True))
 
     @property
     def widest(self) -> Shared:
-        """The mean, with a spread that holds what is not known of the law's mean as well."""
+        """The mean, with a spread that includes the uncertainty of the law's mean."""
         middle = self.middle
         error = np.std([v.law for v in self.values], axis=0)
         most = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
@@ -101,9 +100,9 @@ class SurveyModel(NamedTuple):
 
 
 class _Layout:
-    """Which shared values are estimated, and where they stand in a vector.
+    """Layout of the estimated shared parameters in a vector.
 
-    The vector's values are standardised: 0 and 1 are the prior's centre and scale.
+    Elements are standardised: 0 is the centre of the prior, 1 its scale.
 
     Parameters
     ----------
@@ -135,11 +134,11 @@ class _Layout:
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.size = int(ends[-1])
-        # what may lie far out: shift and offsets
+        # heavy-tailed priors: shift and offsets
         self._gaussian = int(ends[3])
 
     def shared(self, point: FloatArray) -> Shared:
-        """Name the values of a vector."""
+        """Return the shared parameters of a vector."""
 
         def at(name: str, count: int) -> FloatArray:
             values = point[self._place[name]]
@@ -175,15 +174,15 @@ def learn(
     scatter: FloatArray | None,
     seed: int,
 ) -> SurveyModel:
-    """Estimate what the looks of a survey share.
+    """Estimate the shared parameters of a survey's looks.
 
     Parameters
     ----------
     looks : Looks or None
-        None where there is none: the prior remains.
+        None without looks: the result is the prior.
     swaths : int
     scatter : ndarray (3,) or None
-        Fixed scatter between passes (log f, log A_H, degrees); None to learn it.
+        Fixed scatter between passes (log f, log A_H, degrees); None to estimate it.
     seed : int
         The same seed and looks give the same model to the bit.
 
@@ -216,7 +215,7 @@ def learn(
     states = particles[rng.permutation(len(particles))[:CHAINS]]
     chains = metropolis_hastings(log_density, proposal, particles, states, STEPS, rng)
     points = chains.draws[:, STEPS // 4 :].reshape(-1, layout.size)
-    # values that stand for the posterior: evenly over what A_H depends on
+    # draws that represent the posterior: evenly over the quantity that A_H depends on
     key = points[:, 0]
     if layout.law and some is not None:
         laws = np.array([layout.shared(p).law for p in points])
@@ -229,11 +228,11 @@ def learn(
 
 
 def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
-    """Sort swaths by what they saw, not by their place in the survey file.
+    """Sort swaths by their data, not by their place in the survey file.
 
     Returns the looks by cell and swath, and the new number of each swath.
     """
-    seen = np.column_stack([looks.altitude, looks.tangent, looks.factor.push[:, 0, 1]])
+    seen = np.column_stack([looks.altitude, looks.tangent, looks.factor.linear[:, 0, 1]])
     means = np.zeros((swaths, 3))
     for k in range(swaths):
         here = looks.swath == k
@@ -274,10 +273,10 @@ def _log_posterior(point: FloatArray, layout: _Layout, looks: Looks | None) -> f
 
 
 def evidence(looks: Looks, shared: Shared) -> FloatArray:
-    """Log evidence of each cell (cells,): that its looks speak of one f, A_H, azimuth and law.
+    """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
 
-    All of f, A_H and azimuth are taken as equally likely: ripples are about as steep all over a
-    survey, so that the steepness of many cells is no independent evidence of the law.
+    The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey, so
+    the steepness of many cells is not independent evidence about the law.
 
     Parameters
     ----------
@@ -287,22 +286,22 @@ def evidence(looks: Looks, shared: Shared) -> FloatArray:
     Returns
     -------
     ndarray
-        In the order of the cells' numbers. A cell whose passes differ counts by a wider scatter.
+        In the order of the cells' numbers. A cell may have differing passes, with a wider scatter.
     """
     _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
     every = np.zeros(count.size)
     several = count[cell] > 1
     if looks.law is not None and not several.all():
         alone = np.flatnonzero(~several)
-        law = LawTold(*(v[alone] for v in looks.law))
+        law = LawLikelihood(*(v[alone] for v in looks.law))
         every[cell[alone]] = evidence_of_law(law, shared)
     if several.any():
         part = looks.some(np.flatnonzero(several))
         place = np.unique(cell[several], return_inverse=True)[1]
         scatter = np.broadcast_to(shared.scatter, (place.size, 3))
-        factor, prior = placed(part, shared), law_factor(shared, looks.with_law)
+        factor, prior = without_scatter(part, shared), law_factor(shared, looks.with_law)
         honest, odd = (
-            _evidence(strayed(factor, shared, s), prior, place, count[count > 1])
+            _evidence(with_scatter(factor, shared, s), prior, place, count[count > 1])
             for s in (scatter, np.hypot(scatter, ODD_SCATTER))
         )
         every[count > 1] = np.logaddexp(np.log1p(-ODD) + honest, np.log(ODD) + odd)
@@ -330,7 +329,7 @@ def _evidence(
 
 
 def settled(total: Information, prior: Information) -> tuple[FloatArray, Information]:
-    """Log evidence of components of looks that were multiplied, the heaviest of which are kept.
+    """Log evidence of the components of a product of looks; the heaviest are kept.
 
     Parameters
     ----------
@@ -343,9 +342,9 @@ def settled(total: Information, prior: Information) -> tuple[FloatArray, Informa
     level : ndarray (cells, at most MOST_KEPT)
     total : Information (cells, at most MOST_KEPT)
     """
-    level = normalised(with_prior(total, prior))[0]
+    level = moments(with_prior(total, prior))[0]
     kept = heaviest(total, level, MOST_KEPT)
-    return heaviest(Information(level, total.push, total.precision), level, MOST_KEPT).level, kept
+    return heaviest(Information(level, total.linear, total.precision), level, MOST_KEPT).level, kept
 
 
 def with_prior(total: Information, prior: Information) -> Information:
@@ -354,7 +353,7 @@ def with_prior(total: Information, prior: Information) -> Information:
 
 
 def _covariance(point: FloatArray, log_density: LogDensity) -> FloatArray:
-    """Inverse of the curvature of a log density by differences, kept positive."""
+    """Inverse of the numerical curvature of a log density, kept positive."""
     size = point.size
     steps = STEP * np.eye(size)
     rows, columns = np.tril_indices(size, -1)

@@ -1,1 +1,1 @@
-"""A run of a survey: plan, cost, tasks and their scheduling, finished work, both stages."""
+"""A run of a survey: plan, cost, tasks and their scheduling, stored results, both stages."""

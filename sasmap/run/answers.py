@@ -1,4 +1,4 @@
-"""The few numbers that a run is for: on the report's first page and on the terminal."""
+"""The main results of a run, for the report's first page and the terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sasmap.catalogue import PROJECT, REPORT
 from sasmap.products.cell_values import measured, statistics
-from sasmap.ripples.fusion import CellEstimate
+from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.posterior import Quality, axial
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan
@@ -18,7 +18,7 @@ from sasmap.run.wording import duration
 
 
 class Answer(NamedTuple):
-    """A number of the first page: what it is, its value, and what stands beside it."""
+    """A number of the first page: its name, its value and a remark."""
 
     what: str
     value: str
@@ -34,7 +34,7 @@ def _table(cells: list[CellEstimate], quantity: str) -> NDArray[np.float64]:
 
 
 def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
-    """Yield the numbers of the first page; only those that there are.
+    """Yield the available numbers of the first page.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
 
 
 def _typical(what: str, table: NDArray[np.float64]) -> Answer:
-    """Median over cells, how well one is known, and the range over cells."""
+    """Median over cells, standard deviation of one cell, and range over cells."""
     value, sd = np.median(table[:, 0]), np.median(table[:, 1])
     low, high = np.quantile(table[:, 0], (0.05, 0.95))
     beside = "median over cells ± sd of one cell"
@@ -73,7 +73,7 @@ def _typical(what: str, table: NDArray[np.float64]) -> Answer:
 
 
 def ripple_words(outcome: Outcome) -> str:
-    """Say what ripples were found, in a sentence."""
+    """Summarise the ripples in a sentence."""
     good = _good(outcome)
     if not good:
         return "No cell has ripples with a converged estimate."
@@ -90,7 +90,7 @@ def ripple_words(outcome: Outcome) -> str:
 
 
 def summary_lines(outcome: Outcome) -> Iterator[str]:
-    """Say how a run went, in about a dozen lines.
+    """Summarise a run in about a dozen lines.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sediment classes that are known beforehand: of training polygons, or of another survey's file."""
+"""Sediment classes known in advance: from training polygons, or from another survey's file."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ MAX_BYTES = 2**24
 
 
 class ClassModel(NamedTuple):
-    """Classes that are known beforehand.
+    """Classes known in advance.
 
     Attributes
     ----------
     names : tuple of str
-        Classes of one name are one class of the map.
+        Classes of the same name are one class of the map.
     marks : callable or None
-        ``marks(row, column)`` gives the class known at each pixel of a cell, 0 for none.
+        ``marks(row, column)`` gives the training class at each pixel of a cell, 0 for none.
     cells : tuple of (row, column)
-        That have marks.
+        Cells that have training pixels.
     laws : tuple of Law
-        Of another survey; empty where they are to be learned from the marks.
+        Of another survey; empty where they are estimated from training pixels.
     centre : float
-        Log of the cotangent of the grazing angle at which they hold.
+        Log of the cotangent of the grazing angle at which the laws hold.
     texture : Texture or None
-        Laws at several scales, if the survey needed them.
+        Laws at several scales, where the survey used them.
     codes : tuple of str
-        Of a scheme of the user's (Folk, EUNIS, CMECS), if any are given.
+        Codes in the user's scheme (Folk, EUNIS, CMECS), if any.
     objects : bool
-        Whether objects were set apart where the classes were found.
+        Whether objects were a class of their own where the classes were found.
     """
 
     names: tuple[str, ...]
@@ -54,7 +54,7 @@ class ClassModel(NamedTuple):
     objects: bool = True
 
     def codes_of(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Code of each of some names; empty where none is given."""
+        """Return the code of each name; empty where none is given."""
         known = dict(zip(reversed(self.names), reversed(self.codes), strict=False))
         return tuple(known.get(name, "") for name in names)
 
@@ -62,14 +62,14 @@ class ClassModel(NamedTuple):
 def model_text(
     names: Sequence[str], codes: Sequence[str], classes: Classes, objects: bool = True
 ) -> str:
-    """Write a survey's classes as JSON, for other surveys to take over.
+    """Write a survey's classes as JSON, for use in other surveys.
 
     Parameters
     ----------
     names, codes : sequence of str
     classes : Classes
     objects : bool
-        Whether objects were set apart.
+        Whether objects were a class of their own.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def read_model(path: Path) -> ClassModel:
 
 
 def _texture_of(content: dict[str, Any], count: int) -> Texture:
-    """Read laws at several scales; ValueError, KeyError or TypeError where they are none."""
+    """Read laws at several scales; ValueError, KeyError or TypeError where they are invalid."""
     found = Texture(**{f.name: np.array(content[f.name], float) for f in fields(Texture)})
     shapes = found.low.shape, found.high.shape, found.table.shape, found.offset.shape
     wanted = (CHANNELS,), (CHANNELS,), (len(WINDOWS), count, CHANNELS, BINS), (count,)
@@ -146,7 +146,7 @@ def _texture_of(content: dict[str, Any], count: int) -> Texture:
     if shapes != wanted or not all(np.isfinite(v).all() for v in values):
         raise ValueError("texture: not of this version")
     if not (found.high > found.low).all():
-        raise ValueError("texture: bins that are none")
+        raise ValueError("texture: invalid bins")
     return found
 
 
@@ -156,19 +156,19 @@ def law_of(content: dict[str, Any]) -> Law:
     Raises
     ------
     ValueError, KeyError, TypeError
-        Where it is none.
+        Where it is invalid.
     """
     values = {f.name: _number(content[f.name]) for f in fields(Law)}
     law = Law(**{**values, "errors": tuple(_number(v) for v in values["errors"])})
     numbers = (law.scale, law.mean_square)
     shaped = law.family in ("rayleigh", "rice") or law.shape > 0
     if law.family not in FAMILIES or not shaped or not all(0 < v < np.inf for v in numbers):
-        raise ValueError("a law that is none")
+        raise ValueError("invalid parameters of a law")
     if not 0 <= law.kappa < np.inf:
         raise ValueError("kappa: expected at least 0")
     return law
 
 
 def _number(value: Any) -> Any:
-    """Read null, as JSON has no NaN."""
+    """Read a number; null stands for NaN, which JSON lacks."""
     return float("nan") if value is None else value

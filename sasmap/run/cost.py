@@ -1,4 +1,4 @@
-"""What a run will cost in time, memory and disk, and whether that fits this machine."""
+"""Estimate of a run's time, memory and disk space, and whether it fits this machine."""
 
 from __future__ import annotations
 
@@ -19,48 +19,54 @@ from sasmap.run.task import finished_looks, try_look
 from sasmap.run.wording import duration, size
 from sasmap.sediments.segmentation import DESCRIBED, SAMPLE
 
-# Seconds of a look at a cell on one core where none can be timed: flat sea floor a pixel, and
-# ripples, whose cost hardly depends on the window (the sample survey on a 2.5 GHz core).
+# Seconds of a look at a cell on one core where none can be timed: per pixel of flat sea floor, and
+# for ripples, which hardly depend on the window (measured on the sample survey, 2.5 GHz core).
 FLAT, RIPPLED = 1e-6, 4.0
-# Seconds a pixel on one core: of the sample from which sediment classes are found, of the sediment
-# map, and of the mosaic (each look); seconds of start, products and report together (the same).
+# Seconds per pixel on one core: of the sample in which sediment classes are found, of the sediment
+# map, and of the mosaic (each look); seconds of start, products and report (measured likewise).
 FOUND, MAPPED, LAID, FIXED = 8e-7, 5e-7, 5e-7, 8.0
-# Looks that `plan` times, at most, of each so many, and seconds after which it times no more.
+# Most looks that `plan` times, one in so many, and seconds after which it stops: a plan should take
+# less than half a minute (a choice).
 TIMED, SHARE, ENOUGH = 8, 3, 15.0
-# Bytes of the process and its libraries; a pixel of a cell in work; a pixel of the sample.
-BASE, WORKING, SAMPLED = 400e6, 300.0, 130.0
-# Bytes on disk: of a look at a cell with its picture; of its pixels for the sediment map, modelled,
-# and of the ripples' extent; of the map in the making, and of products; of the mosaic, while it is
-# made and when it is.
+# Bytes of the process with its libraries, per pixel of a cell being processed, and per pixel of the
+# sediment sample: resident memory, measured on 25 Mpx of one pass (998 MB with one thread); and per
+# look with its task, which are held until the second stage (docs/scale.md).
+BASE, WORKING, SAMPLED, HELD = 400e6, 300.0, 200.0, 22e3
+# Bytes on disk: of a look at a cell with its figure; per pixel for the sediment map, the modelled
+# image and the ripples' extent; of temporary maps, and of products; of the mosaic, temporary files
+# included (from the formats' sizes, uncompressed).
 RECORD, KEPT, MODELLED, EXTENT = 80_000, 8, 4, 1
 MAKING, PRODUCTS, MOSAIC = 24, 6, 12
 
 
 class Cost(NamedTuple):
-    """What a run will cost.
+    """Estimated cost of a run.
 
     Attributes
     ----------
     memory, disk : float
-        Bytes, at most.
+        Bytes, upper estimates.
+    per_worker : float
+        Bytes of the memory that each worker takes; the rest does not depend on their number.
     finished, looks : int
-        Looks at cells that an earlier run has finished, and all.
+        Number of looks finished by an earlier run, and of all looks.
     """
 
     memory: float
+    per_worker: float
     disk: float
     finished: int
     looks: int
 
 
 def cost_of(plan: Plan, workers: int | None) -> Cost:
-    """Estimate what a run will cost in memory and on disk.
+    """Estimate a run's memory and disk space.
 
     Parameters
     ----------
     plan : Plan
     workers : int or None
-        Threads; default one a core.
+        Threads; default one per core.
 
     Returns
     -------
@@ -71,7 +77,7 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
     looks = sum(len(k) for k in plan.ripples.cells.values())
     cell = survey.window**2
     finished = finished_looks(plan.ripples, Store(survey.output_folder)) if survey.ripples else 0
-    memory = BASE + WORKING * cell * threads
+    memory = BASE + WORKING * cell * threads + HELD * looks
     grid = plan.opened.grid.rows * plan.opened.grid.columns * cell
     disk = float(MOSAIC * grid)
     if survey.ripples is not None:
@@ -82,11 +88,11 @@ def cost_of(plan: Plan, workers: int | None) -> Cost:
         kept = survey.ripples is not None and plan.overlapping is None
         disk += KEPT * (looks - finished) * cell * kept
         disk += (MAKING + PRODUCTS) * grid
-    return Cost(memory, disk, finished, looks)
+    return Cost(memory, WORKING * cell, disk, finished, looks)
 
 
 def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
-    """Estimate how long a run will take, from looks at a few cells that are timed.
+    """Estimate how long a run will take by timing a few looks.
 
     Parameters
     ----------
@@ -96,7 +102,7 @@ def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
     Returns
     -------
     low, high : float
-        Equal where looks could be timed; else without ripples, and with ripples everywhere.
+        Equal where looks could be timed; otherwise without any ripples and with ripples everywhere.
     """
     survey = plan.settings
     threads = workers or os.cpu_count() or 1
@@ -116,7 +122,7 @@ def seconds_of(plan: Plan, workers: int | None) -> tuple[float, float]:
 
 
 def _timed(plan: Plan, left: int) -> list[float]:
-    """Seconds of looks at cells spread over the survey."""
+    """Time looks spread over the survey, s."""
     looks = [(cell, k) for cell, swaths in plan.cells.items() for k in swaths]
     count = min(max(left // SHARE, 2), left, TIMED)
     seconds: list[float] = []
@@ -126,7 +132,7 @@ def _timed(plan: Plan, left: int) -> list[float]:
         try:
             try_look(plan, cell, k)
         except Exception:
-            continue  # the run tells what is wrong with a cell
+            continue  # the run will report the fault
         seconds.append(time.perf_counter() - start)
         if sum(seconds) > ENOUGH:
             break
@@ -134,7 +140,7 @@ def _timed(plan: Plan, left: int) -> list[float]:
 
 
 def compiled() -> bool:
-    """Whether the compiled code of this version is there, by that of the rendered wavelength."""
+    """Whether the code of this version is compiled, judged by the rendered wavelength."""
     source = Path(rendering.__file__)
     cached = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(cached) if cached else source.parent / "__pycache__"
@@ -143,7 +149,7 @@ def compiled() -> bool:
 
 
 def check_fits(plan: Plan, workers: int | None) -> None:
-    """Refuse a run that needs more memory or disk than this machine has.
+    """Refuse a run that needs more memory or disk space than this machine has.
 
     Raises
     ------
@@ -176,7 +182,7 @@ def _existing(folder: Path) -> Path:
 
 
 def describe_cost(plan: Plan, workers: int | None) -> Iterator[str]:
-    """Tell what a run will cost, a line each."""
+    """Describe the estimated cost of a run, a line each."""
     cost = cost_of(plan, workers)
     threads = workers or os.cpu_count() or 1
     if cost.finished:
@@ -185,4 +191,6 @@ def describe_cost(plan: Plan, workers: int | None) -> Iterator[str]:
     span = low if low == high else f"{low} without ripples to {high} with ripples everywhere"
     first = "" if compiled() else ", and a minute to compile, once"
     yield f"time: about {span}, on {threads} threads{first}"
-    yield f"memory: about {size(cost.memory)}; disk: at most {size(cost.disk)}"
+    fixed = size(cost.memory - threads * cost.per_worker)
+    each = f"{fixed} and {size(cost.per_worker)} for each of {threads} threads"
+    yield f"memory: about {size(cost.memory)} ({each}); disk: at most {size(cost.disk)}"

@@ -1,4 +1,4 @@
-"""Outlines of a survey's rippled floor: cells that touch are traced together, across borders."""
+"""Outlines of a survey's rippled sea floor: neighbouring cells are traced together."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from sasmap.survey.cells import Cell
 
 FloatArray = NDArray[np.float64]
 
-# Pixels a side of a place of the mosaic, fewer where waves are short, and the most places at once.
+# Pixels a side of a node of the mosaic, fewer where wavelengths are short, and the most nodes of
+# one group, which bounds memory (a choice).
 COARSE, LARGEST = 5, 40_000_000
-# Places a wavelength, at least.
+# Fewest nodes per wavelength: outlines are smoothed over a quarter of it.
 FINE = 6.0
 BESIDE = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
@@ -55,7 +56,7 @@ def write_ripple_extent(plan: Plan, store: Store, outcome: Outcome) -> Path:
 
 
 def _found(store: Store, outcome: Outcome) -> Found:
-    """Places and references of the cells with ripples, by look."""
+    """Cells with ripples and their references, by look."""
     found: Found = {}
     for cell, keys in outcome.keys.items():
         for k, key in enumerate(keys):
@@ -66,7 +67,7 @@ def _found(store: Store, outcome: Outcome) -> Found:
 
 
 def _groups(found: Found, plan: Plan) -> Iterator[list[tuple[int, int]]]:
-    """Rippled cells of the map that touch each other, with those between and beside them."""
+    """Group rippled cells of the map that touch, with those between and beside them."""
     grid = plan.opened.grid
     there = np.zeros((grid.rows + 2, grid.columns + 2), bool)
     for row, column in met(plan, list(found)):
@@ -80,7 +81,7 @@ def _groups(found: Found, plan: Plan) -> Iterator[list[tuple[int, int]]]:
 
 
 def _traced(context: Context, found: Found, cells: list[tuple[int, int]]) -> list[Outline]:
-    """Outlines of a group of cells."""
+    """Trace the outlines of a group of cells."""
     plan = context.plan
     grid, window = plan.opened.grid, plan.settings.window
     rippled = sorted({s.cell for c in cells for s in sharing(plan, c) if s.cell in found})
@@ -112,10 +113,10 @@ def _places(
     inside: NDArray[np.bool_],
     side: int,
 ) -> FloatArray:
-    """Probability of rippled floor of a cell's places (side, side): the mean of its looks.
+    """Probability of rippled sea floor at a cell's nodes (side, side): the mean over its looks.
 
-    `inside` are the pixels of cells in which ripples were found; the ripples around go on into the
-    others.
+    `inside` are the pixels of cells in which ripples were found; ripples may continue from there
+    into the others.
     """
     plan = context.plan
     looks = []
@@ -141,6 +142,6 @@ def _places(
 
 
 def _summed(values: FloatArray, side: int) -> FloatArray:
-    """Sum pixels over places (side, side)."""
+    """Sum pixels over nodes (side, side)."""
     edges = np.linspace(0, len(values), side + 1).astype(int)[:-1]
     return np.asarray(np.add.reduceat(np.add.reduceat(values, edges, axis=0), edges, axis=1))

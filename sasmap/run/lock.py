@@ -21,13 +21,13 @@ def locked(path: Path) -> Iterator[None]:
     Parameters
     ----------
     path : Path
-        File of the lock, which names the process and host that hold it. One left by a process of
-        this host that is no more is taken over.
+        Lock file, which names the process and host that hold it. A lock left by a dead process of
+        this host is taken over.
 
     Raises
     ------
     InputError
-        Where another run holds it; says which, and what to do when it is none.
+        Where another run holds it; names the run, and says what to do if it no longer exists.
     """
     mine = json.dumps({"process": os.getpid(), "host": socket.gethostname()})
     try:
@@ -61,7 +61,7 @@ def _retake(path: Path, content: str) -> None:
 
 
 def _holder(path: Path) -> tuple[int | None, str]:
-    """Process and host that hold a lock; no process where the file does not tell."""
+    """Process and host that hold a lock; no process where the file names none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         return int(content["process"]), str(content["host"])

@@ -1,4 +1,4 @@
-"""What became of a run, and run.json that tells it."""
+"""The outcome of a run and its record, run.json."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sasmap.run.store import Store, code_version
 
 @dataclass
 class Outcome:
-    """What became of a run."""
+    """The outcome of a run."""
 
     output: Path
     cells: dict[tuple[int, int], list[Summary | None]] = field(default_factory=dict)
@@ -81,7 +81,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
 
 
 def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
-    """Tell the survey's scattering law and what else its looks share, with 5 and 95 % quantiles."""
+    """Record the survey's scattering law and other shared parameters, with 5 and 95 % quantiles."""
     if survey is None or not survey.values:
         return None
     quantiles = survey.quantiles()
@@ -104,18 +104,18 @@ def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
     }
 
 
-# Why looks leave a part of the estimate out.
+# Steps of the estimate that looks skip, and why.
 REASONS = {
-    LeftOut.SAMPLING: "sampling: no wave was found, or too few pixels to look for one",
-    LeftOut.PRESENCE_TEST: "test for presence: the published method has none",
+    LeftOut.SAMPLING: "sampling: no ripples were found, or there were too few pixels",
+    LeftOut.PRESENCE_TEST: "detection: the published method has none",
     LeftOut.SHADOW: "shadow: no slope is steep enough to cast one at its range",
-    LeftOut.ORIENTATION: "orientation: the published method takes crests as looked at square-on",
+    LeftOut.ORIENTATION: "orientation: the published method assumes a look along the crest normal",
     LeftOut.PHASE_FIELD: "phase field: the crests are straight",
 }
 
 
 def left_out_counts(outcome: Outcome) -> Iterator[str]:
-    """Tell what looks did not need and why, and how many."""
+    """Describe the steps that looks skipped, why, and in how many looks."""
     every = [s for summaries in outcome.cells.values() for s in summaries if s is not None]
     for flag in LeftOut:
         count = sum(1 for s in every if flag in s.left_out)
@@ -131,7 +131,7 @@ def _relative(path: Path, base: Path) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of sasmap and of what it stands on."""
+    """Versions of sasmap and of its main dependencies."""
     names = ("numpy", "scipy", "numba", "rasterio", "xarray", "dask", "pyproj")
     return {
         "sasmap": code_version(),
@@ -148,7 +148,7 @@ class Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure what runs inside."""
+        """Time the enclosed block."""
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start

@@ -1,7 +1,7 @@
-"""mosaic.tif: the amplitude that was looked at, all passes on the survey's own pixels.
+"""mosaic.tif: the amplitude of all passes on the survey's pixel grid.
 
-The first pass of the survey file lies on top. Gains of passes are made to meet by the cells that
-two of them show; the first pass of those that are so connected keeps its units.
+The first pass of the survey file lies on top. Gains are matched in cells that two passes show; of
+passes so connected the first keeps its units.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ Read = Callable[[Cell, int], NDArray[np.float32] | None]
 
 FILE = "mosaic.tif"
 RECORD = "mosaic.json"
-# Cells from which the gains of two passes are compared, at most, and pixels that both must show.
-# 400 independent pixels of speckle tell a gain to 0.3 dB; the median over cells tells it better.
+# Most cells in which the gains of two passes are compared, and pixels that both must show. 400
+# independent pixels of speckle give a gain to 0.3 dB; the median over cells is better.
 COMPARED, LEAST = 48, 400
 
 
-class Ratio(NamedTuple):
-    """How much brighter one swath shows the same sea floor than another.
+class GainRatio(NamedTuple):
+    """Ratio of the gains of two swaths.
 
     Attributes
     ----------
     first, second : int
         Swaths.
     log_gain : float
-        Log of the second's amplitude over the first's.
+        Log of the second swath's amplitude over the first's.
     weight : float
-        Number of cells that it is of.
+        Number of cells.
     """
 
     first: int
@@ -59,14 +59,14 @@ class Ratio(NamedTuple):
 
 
 def write_mosaic(plan: Plan, store: Store, workers: int | None) -> list[Path]:
-    """Write mosaic.tif, or keep an earlier run's of the same pixels.
+    """Write mosaic.tif, or keep that of an earlier run with the same pixels.
 
     Parameters
     ----------
     plan : Plan
     store : Store
     workers : int or None
-        Threads; None for one a core.
+        Threads; None for one per core.
 
     Returns
     -------
@@ -102,12 +102,12 @@ def _reader(plan: Plan) -> Read:
     place = plan.opened.grid, plan.settings.window
 
     def read(cell: Cell, k: int) -> NDArray[np.float32] | None:
-        """Amplitude of a swath on a cell's own pixels; None where it shows none or cannot."""
+        """Amplitude of a swath on a cell's own pixels; None where there is none."""
         swath = plan.swaths[k]
         try:
             array = clip_of(plan, cell, swath, swath.side)
         except OSError:
-            return None  # a block that cannot be decoded: the stages name it
+            return None  # a block that cannot be decoded: the stages report it
         if array is None:
             return None
         clip = Clip.from_array(array)
@@ -133,7 +133,7 @@ def _laid(plan: Plan, cell: Cell, read: Read, scale: FloatArray) -> NDArray[np.f
 def swath_gains(
     cells: dict[Cell, tuple[int, ...]], count: int, read: Read, workers: int | None
 ) -> FloatArray:
-    """Log gain of each swath, over the first of those that it is connected with.
+    """Log gain of each swath, relative to the first of those that it is connected with.
 
     Parameters
     ----------
@@ -164,14 +164,14 @@ def swath_gains(
     for one in mapped(compare, some, workers):
         for a, b, ratio in one:
             found.setdefault((a, b), []).append(ratio)
-    ratios = [Ratio(a, b, float(np.median(v)), float(len(v))) for (a, b), v in found.items()]
+    ratios = [GainRatio(a, b, float(np.median(v)), float(len(v))) for (a, b), v in found.items()]
     return solve_gains(ratios, count)
 
 
 def _log_ratio(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Log of the second's root mean square amplitude over the first's, where both show the floor.
 
-    Where they do not overlap in the cell, of each one's own pixels.
+    Where they do not overlap in the cell, each one's own pixels are used.
     """
     seen = np.isfinite(first), np.isfinite(second)
     common = seen[0] & seen[1]
@@ -184,12 +184,12 @@ def _log_ratio(first: NDArray[np.float32], second: NDArray[np.float32]) -> float
     return 0.5 * float(np.log(power[1] / power[0])) if min(power) > 0 else float("nan")
 
 
-def solve_gains(ratios: Sequence[Ratio], count: int) -> FloatArray:
-    """Gains that explain the ratios of pairs best, by weighted least squares.
+def solve_gains(ratios: Sequence[GainRatio], count: int) -> FloatArray:
+    """Estimate gains from the ratios of pairs by weighted least squares.
 
     Parameters
     ----------
-    ratios : sequence of Ratio
+    ratios : sequence of GainRatio
     count : int
         Swaths.
 
@@ -199,7 +199,7 @@ def solve_gains(ratios: Sequence[Ratio], count: int) -> FloatArray:
         Log gains; 0 for the first swath of each connected group.
     """
     root = list(range(count))
-    for r in ratios:  # groups that ratios connect, by their first member
+    for r in ratios:  # connected groups, by their first member
         a, b = root[r.first], root[r.second]
         root = [min(a, b) if k in (a, b) else k for k in root]
     rows = [np.zeros(count) for _ in ratios]

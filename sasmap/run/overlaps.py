@@ -1,4 +1,4 @@
-"""Cells that overlap: which of them share no pixel, and which pixels of the map each one has."""
+"""Overlapping cells: which of them are disjoint, and the pixels that each has on the map."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Part = tuple[slice, slice]
 T = TypeVar("T")
 
 
-class Shared(NamedTuple):
-    """Pixels that a cell of the map and one that ripples are estimated in have in common.
+class CommonPixels(NamedTuple):
+    """Common pixels of a cell of the map and a cell of the ripple estimates.
 
     Attributes
     ----------
@@ -33,8 +33,8 @@ class Shared(NamedTuple):
     there: Part
 
 
-def sharing(plan: Plan, cell: Place) -> Iterator[Shared]:
-    """Cells that ripples are estimated in which share pixels with a cell of the map.
+def sharing(plan: Plan, cell: Place) -> Iterator[CommonPixels]:
+    """Find the cells of the ripple estimates that share pixels with a cell of the map.
 
     Parameters
     ----------
@@ -45,15 +45,17 @@ def sharing(plan: Plan, cell: Place) -> Iterator[Shared]:
 
     Yields
     ------
-    Shared
-        Itself alone where no cells overlap.
+    CommonPixels
+        The cell itself where cells do not overlap.
     """
     grid, window = plan.ripples.opened.grid, plan.settings.window
     step = _spacing(grid, window)
     along = [_common(place, window, step, n) for place, n in zip(cell, _shape(grid), strict=True)]
     for row, here_rows, there_rows in along[0]:
         for column, here_columns, there_columns in along[1]:
-            yield Shared((row, column), (here_rows, here_columns), (there_rows, there_columns))
+            yield CommonPixels(
+                (row, column), (here_rows, here_columns), (there_rows, there_columns)
+            )
 
 
 def _shape(grid: CellGrid) -> Place:
@@ -66,7 +68,7 @@ def _spacing(grid: CellGrid, window: int) -> int:
 
 
 def _common(place: int, window: int, step: int, count: int) -> list[tuple[int, slice, slice]]:
-    """Rows (or columns) of cells that meet a window, and what they have in common with it."""
+    """Rows (or columns) of cells that meet a window, and their common pixels."""
     start = place * window
     found = []
     for k in range(max((start - window) // step + 1, 0), min(-(-(start + window) // step), count)):
@@ -86,7 +88,7 @@ def covered(plan: Plan, cell: Place, found: Mapping[Place, T]) -> NDArray[np.boo
 
 
 def met(plan: Plan, cells: Sequence[Place]) -> set[Place]:
-    """Cells of the map that share pixels with cells that ripples are estimated in."""
+    """Find the cells of the map that share pixels with cells of the ripple estimates."""
     grid, window = plan.opened.grid, plan.settings.window
     step = _spacing(plan.ripples.opened.grid, window)
     result = set()
@@ -100,15 +102,15 @@ def met(plan: Plan, cells: Sequence[Place]) -> set[Place]:
 
 
 def apart(plan: Plan, cells: Mapping[Place, Sequence[Summary | None]]) -> list[Place]:
-    """Cells that share no pixel, as many of them with ripples as there are: all of a survey's.
+    """Choose disjoint cells, with as many rippled looks as possible.
 
-    What a survey has in common is learned from these, so that no pixel counts twice.
+    The survey's shared parameters are estimated from these, so that no pixel counts twice.
 
     Parameters
     ----------
     plan : Plan
     cells : mapping of (row, column) to sequence of Summary or None
-        Looks at the cells that ripples are estimated in.
+        Looks at the cells of the ripple estimates.
 
     Returns
     -------
@@ -122,7 +124,7 @@ def apart(plan: Plan, cells: Mapping[Place, Sequence[Summary | None]]) -> list[P
     def told(start: Place) -> int:
         return sum(n for cell, n in drawn.items() if _from(cell, start, stride))
 
-    best = max(starts, key=told)  # the first of those that are as good
+    best = max(starts, key=told)  # the first of equals
     return [cell for cell in cells if _from(cell, best, stride)]
 
 
@@ -133,10 +135,9 @@ def _from(cell: Place, start: Place, stride: int) -> bool:
 def blended(
     plan: Plan, cell: Place, found: Mapping[Place, NDArray[np.float32]]
 ) -> NDArray[np.float32] | None:
-    """Mean of images of cells that overlap, on the pixels of a cell of the map.
+    """Weighted mean of the images of overlapping cells, on the pixels of a cell of the map.
 
-    Each counts the less the farther a pixel lies from its centre, and not at all at its edge, so
-    that no seam is left.
+    The weight of an image falls from its centre to zero at its edge, so that there are no seams.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A survey from plan to products: cells and passes as dask work, finished cells kept."""
+"""A survey from plan to products: cells as dask tasks, results stored as they finish."""
 
 from __future__ import annotations
 
@@ -61,13 +61,13 @@ def run_survey(
     output : Path, optional
         Folder of the products; default the survey file's.
     workers : int, optional
-        Threads; default one a core.
+        Threads; default one per core.
     scheduler : str, optional
         Address of a dask.distributed scheduler to use instead of threads.
     restart : bool
-        Forget finished work first.
+        Discard finished work first.
     progress : callable, optional
-        Called with the stage (ripples or sediments), the number of finished cells and of all.
+        Called with the stage (ripples or sediments), the number of finished cells and of all cells.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def run_survey(
             _make_products(plan, store, outcome, clock, workers, client, progress)
             for line in summary_lines(outcome):
                 note(line)
-            note("ended: " + ("complete" if not outcome.failures else "some things failed"))
+            note("ended: " + ("complete" if not outcome.failures else "with failures"))
     return outcome
 
 
@@ -140,13 +140,13 @@ def _make_products(
 
 
 def _name_stale(store: Store, outcome: Outcome) -> None:
-    """Name products of an earlier run that this one does not write: they tell of other input."""
+    """Warn about products of an earlier run that this run does not write."""
     written = {path.name for path in outcome.written}
     names = [n for n in (*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS) if not n.endswith(".aux.xml")]
     stale = [n for n in names if n not in written and (store.output / n).exists()]
     if stale:
         outcome.warnings.append(
-            f"{store.output}: of an earlier run, not of this one: {', '.join(stale)}; remove them, "
+            f"{store.output}: {', '.join(stale)}: left by an earlier run, not made now: remove, "
             "or choose another output folder"
         )
         log.warning("warning: %s", outcome.warnings[-1])
@@ -154,7 +154,7 @@ def _name_stale(store: Store, outcome: Outcome) -> None:
 
 @contextmanager
 def _logged(path: Path) -> Iterator[Callable[[str], None]]:
-    """Write what is said to a log file as well, with the time; tell there how the run ended.
+    """Copy log messages to a file, with times; record there how the run ended.
 
     Yields a function that writes a line to the file alone.
     """
@@ -259,7 +259,7 @@ def _present(plan: Plan, store: Store, outcome: Outcome) -> None:
 
 
 def _attempt(outcome: Outcome, stage: str, work: Callable[[], Iterable[Path]]) -> None:
-    """Do a stage's work; where it fails, what is done stays and the run says what is missing."""
+    """Run a step; where it fails, other products are kept and the failure is recorded."""
     try:
         outcome.written += work()
     except Exception as error:

@@ -1,4 +1,4 @@
-"""What a run will do: looks, cells, files, and what the survey does not call for."""
+"""The plan of a run: looks, cells, files, and steps that the survey does not need."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from sasmap.survey.passes import Side, SonarPass, tiles_of_cells
 from sasmap.survey.tiles import Tile, hash_file
 from sasmap.survey.training import Training, check_shown, read_training
 
-# Grazing angle, degrees, below which ripples of crest to trough over wavelength 0.11 (slope 0.35)
-# cast shadow; difference of grazing angles that tells the law by contrast alone.
+# Grazing angle, degrees, below which ripples of steepness 0.11 (slope 0.35 = tan 19 degrees) cast
+# shadow; difference of grazing angles that constrains the law by contrast alone (a choice).
 SHADOW_GRAZING, APART = 19.0, 10.0
 
 
@@ -43,7 +43,7 @@ class Swath(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run will do.
+    """The plan of a run.
 
     Attributes
     ----------
@@ -56,13 +56,13 @@ class Plan:
     hashes : dict of Path to str
         SHA-256 of every input file.
     left_out : tuple of str
-        What the survey does not call for, and why.
+        Steps that are left out, and why.
     training : tuple of Training
-        Where sediments are known; empty unless the survey says.
+        Training polygons; empty unless the survey names some.
     model : ClassModel or None
         Sediment classes of another survey.
     overlapping : Plan or None
-        The same survey in cells that overlap, where ripples are estimated in such.
+        The same survey in overlapping cells, where ripples are estimated in these.
     """
 
     opened: OpenSurvey
@@ -77,7 +77,7 @@ class Plan:
 
     @property
     def ripples(self) -> Plan:
-        """The survey in the cells that ripples are estimated in."""
+        """The plan in the cells of the ripple estimates."""
         return self.overlapping or self
 
     @property
@@ -93,7 +93,7 @@ class Plan:
     @property
     def run_id(self) -> str:
         """Hash of inputs, settings, code version and seed."""
-        # inputs count by what they hold, not by where they lie
+        # inputs are identified by content, not by path
         places: Any = {"passes": {"__all__": {"tiles", "navigation"}}}
         places |= dict.fromkeys(("output", "area", "exclude"), True)
         settings = self.settings.model_dump(mode="json", exclude=places)
@@ -102,7 +102,7 @@ class Plan:
 
     @property
     def sediment_settings(self) -> list[Any] | None:
-        """Settings of the sediment map, files by what they hold."""
+        """Settings of the sediment map, with the hashes of their files."""
         sediments = self.settings.sediments
         if sediments is None:
             return None
@@ -142,13 +142,13 @@ def make_plan(survey: Survey) -> Plan:
     Raises
     ------
     InputError
-        With a line for every fault of the survey's files.
+        With one line per fault of the survey's files.
     """
     opened = open_survey(survey)
     swaths = tuple(Swath(p, side) for p in opened.passes for side in p.sides)
     tiles, cells = _met(opened, swaths)
     if not cells:
-        raise InputError(f"{survey.path}: area, exclude: they leave no cell of the survey")
+        raise InputError(f"{survey.path}: area, exclude: no cell of the survey is left")
     training = read_training(survey, opened.grid)
     check_shown(training, opened.passes, opened.grid)
     files = {f for p in opened.passes for f in p.files} | {t.path for t in training}
@@ -167,7 +167,7 @@ def make_plan(survey: Survey) -> Plan:
 def _met(
     opened: OpenSurvey, swaths: tuple[Swath, ...]
 ) -> tuple[dict[str, dict[Cell, tuple[Tile, ...]]], dict[Cell, tuple[int, ...]]]:
-    """Tiles that may show each cell of a survey's grid, by pass, and swaths that meet it."""
+    """Find the tiles that may show each cell, by pass, and the swaths that meet it."""
     tiles = {p.name: tiles_of_cells(p, opened.grid) for p in opened.passes}
     cells = {
         cell: tuple(k for k, one in enumerate(swaths) if cell in tiles[one.sonar_pass.name])
@@ -178,7 +178,7 @@ def _met(
 
 
 def _overlapping(plan: Plan) -> Plan | None:
-    """Plan of the same survey in cells that overlap, if it asks for them."""
+    """Plan the same survey in overlapping cells, if it asks for them."""
     survey = plan.settings
     if survey.ripples is None or survey.ripples.overlap == 0:
         return None
@@ -191,7 +191,7 @@ def _overlapping(plan: Plan) -> Plan | None:
 
 
 def _called_for(opened: OpenSurvey, cell: Cell) -> bool:
-    """Whether the survey's area touches a cell and not all of it is left out."""
+    """Whether a cell touches the survey's area and is not fully excluded."""
     square = shapely.box(*opened.grid.bounds(cell))
     if opened.area is not None and not opened.area.intersects(square):
         return False
@@ -206,7 +206,7 @@ def _left_out(survey: Survey) -> Iterator[str]:
 
 
 def _law_told(plan: Plan) -> str:
-    """Tell which cells can be expected to tell the scattering law from A_H."""
+    """Describe which cells can be expected to separate the scattering law from A_H."""
     grid = plan.opened.grid
     cells = list(plan.cells)
     bounds = np.array([grid.bounds(cell) for cell in cells])
@@ -226,20 +226,20 @@ def _law_told(plan: Plan) -> str:
         f"common ripples cast shadow, {several} at grazing angles {APART:.0f} degrees apart"
     )
     if shadowed or several:
-        return f"{told}: these can fix it for all"
-    return f"{told}: nothing may tell it from A_H, whose intervals would then be wide"
+        return f"{told}: these can constrain it for all"
+    return f"{told}: the data may not separate it from A_H, whose intervals would then be wide"
 
 
 def _classes_told(plan: Plan) -> str:
-    """Where the sediment classes come from."""
+    """Describe where the sediment classes come from."""
     settings = plan.settings.sediments
     assert settings is not None
     if plan.model is not None:
         return f"classes of {settings.model}: {', '.join(plan.model.names)}"
     if plan.training:
-        return "classes by training: " + ", ".join(t.name for t in plan.training)
+        return "classes from training polygons: " + ", ".join(t.name for t in plan.training)
     return (
-        "as many classes as the data show"
+        "as many classes as the data support"
         if settings.classes == "auto"
         else (f"{settings.classes} classes")
     )
@@ -255,21 +255,21 @@ def tags_of(plan: Plan) -> dict[str, str]:
 
 
 def crs_name(wkt: str) -> str:
-    """Return a CRS as people name it, with its code where it has one."""
+    """Return the name of a CRS, with its code where it has one."""
     crs = pyproj.CRS.from_wkt(wkt)
     authority = crs.to_authority()
     return f"{crs.name} ({':'.join(authority)})" if authority else str(crs.name)
 
 
 def recorded(plan: Plan) -> tuple[datetime, datetime] | None:
-    """First and last date that the passes give, UTC where none says else; None without any."""
+    """First and last date of the passes, UTC unless stated; None without dates."""
     given = [datetime.fromisoformat(p.date) for p in plan.settings.passes if p.date is not None]
     dates = sorted(d.replace(tzinfo=UTC) if d.tzinfo is None else d.astimezone(UTC) for d in given)
     return (dates[0], dates[-1]) if dates else None
 
 
 def dates_of(plan: Plan) -> str:
-    """Return the days of a survey as people write them; empty where no pass gives any."""
+    """Return the dates of a survey as text; empty where no pass gives one."""
     found = recorded(plan)
     if found is None:
         return ""
@@ -278,7 +278,7 @@ def dates_of(plan: Plan) -> str:
 
 
 def describe(plan: Plan) -> Iterable[str]:
-    """Tell what a plan would run, a line each."""
+    """Describe a plan, a line each."""
     plan = plan.ripples
     grid = plan.opened.grid
     looks = [len(k) for k in plan.cells.values()]
@@ -292,12 +292,12 @@ def describe(plan: Plan) -> Iterable[str]:
         yield f"pass {p.name}: {len(p.tiles)} tiles, {sides}, {p.track.x.size} pings, {met} cells"
     if plan.settings.ripples is not None:
         method = plan.settings.ripples.method
-        yield f"ripples: method {method}, {sum(looks)} looks at cells, at most {max(looks)} a cell"
+        yield f"ripples: method {method}, {sum(looks)} looks, at most {max(looks)} per cell"
         if method == "default" and plan.settings.ripples.scattering == "estimated":
             yield f"scattering law: {_law_told(plan)}"
     if plan.settings.sediments is not None:
         yield f"sediments: {_classes_told(plan)}"
     shown = Counter(len(k) for k in plan.cells.values())
-    yield "looks a cell: " + ", ".join(f"{n} at {shown[n]} cells" for n in sorted(shown))
+    yield "looks per cell: " + ", ".join(f"{n} at {shown[n]} cells" for n in sorted(shown))
     for line in plan.left_out:
         yield f"left out: {line}"

@@ -1,4 +1,4 @@
-"""What the report shows of a run: gathered here, drawn and written in products."""
+"""Contents of the report, collected here and drawn in products."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from sasmap.products.cell_values import ADVICE, MEANINGS
 from sasmap.products.colours import QUALITY_COLOURS, hexadecimal
 from sasmap.products.law_figure import law_figure
 from sasmap.products.maps import codes_of, map_of, overview
-from sasmap.products.qgis.styles import Names
+from sasmap.products.qgis.styles import Categories
 from sasmap.products.ranges import has_content
 from sasmap.products.report import write_report
 from sasmap.ripples.posterior import Quality
 from sasmap.run.answers import answers, ripple_words
+from sasmap.run.cell_details import cell_details
 from sasmap.run.class_models import law_of
-from sasmap.run.closely import cells_closely
 from sasmap.run.manifest import Outcome, left_out_counts, versions
 from sasmap.run.plan import Plan, dates_of
 from sasmap.run.store import Store, code_version
 from sasmap.run.wording import duration
 from sasmap.settings.yamlfile import dump_yaml
 
-# Standard deviations from which a migration is clear; registration of passes that is taken for
-# granted, m (differential GPS).
+# Standard deviations from which a migration is significant; assumed error of the registration of
+# passes, m (differential GPS).
 SURE, REGISTERED = 3.0, 0.1
 # Maps of the report's section on ripples.
 RIPPLE_MAPS = (
@@ -41,7 +41,7 @@ RIPPLE_MAPS = (
 )
 
 
-def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Path:
+def make_report(plan: Plan, store: Store, outcome: Outcome, names: Categories) -> Path:
     """Write report.html.
 
     Parameters
@@ -49,7 +49,7 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
     plan : Plan
     store : Store
     outcome : Outcome
-    names : Names
+    names : Categories
 
     Returns
     -------
@@ -72,7 +72,7 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
         "law": law_figure(outcome.survey, grazing_of(outcome)),
         "migration": list(_migration(plan, outcome)),
         "growth": growth_figure(list(outcome.fused.values()), [s.label for s in plan.swaths]),
-        "cells": list(cells_closely(plan, store, outcome)),
+        "cells": list(cell_details(plan, store, outcome)),
         "convergence": _convergence(outcome),
         "sediment_map": None,
         "classes": list(_classes(outcome, names)),
@@ -93,14 +93,14 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Names) -> Pat
 
 
 def grazing_of(outcome: Outcome) -> tuple[float, float]:
-    """Least and largest grazing angle of the looks with ripples, degrees."""
+    """Smallest and largest grazing angle of the looks with ripples, degrees."""
     looks = [s for every in outcome.cells.values() for s in every if s is not None and s.mixture]
     angles = [float(np.degrees(np.arctan(s.tangent))) for s in looks]
     return (min(angles), max(angles)) if angles else (5.0, 60.0)
 
 
 def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
-    """Tell how far crests moved between the first pass of a cell and each later one."""
+    """Describe how far crests moved between the first pass of a cell and each later one."""
     for k, swath in enumerate(plan.swaths):
         found = [
             c.migration[k]
@@ -112,23 +112,23 @@ def _migration(plan: Plan, outcome: Outcome) -> Iterator[str]:
         shift = next((c.registration[k] for c in outcome.fused.values() if c.registration), (0, 0))
         if any(shift):
             yield (
-                f"{swath.label}: by the crests of all cells the pass lies {shift[0]:+.3f} m east "
-                f"and {shift[1]:+.3f} m north of the first, which is taken for registration, not "
-                "for migration."
+                f"{swath.label}: the crests of all cells place the pass {shift[0]:+.3f} m east "
+                f"and {shift[1]:+.3f} m north of the first; this is attributed to registration, "
+                "not migration."
             )
         moved, sd = np.array(found).T
         clear = int((np.abs(moved) > SURE * np.hypot(sd, REGISTERED)).sum())
         yield (
             f"{swath.label}: crests lie {np.median(moved):+.3f} m from those of the first pass "
             f"(median of {len(found)} cells; modulo a wavelength"
-            f"{', registration taken off' if any(shift) else ''}); {clear} of them clearly moved, "
+            f"{', registration removed' if any(shift) else ''}); in {clear} of them significantly, "
             f"if the passes are registered to {REGISTERED:g} m."
         )
 
 
 def _sections(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     every = (
-        ("answer", "The answer", True),
+        ("answer", "Summary", True),
         ("survey", "Survey", True),
         ("ripples", "Ripples", content["quality"]),
         ("cells", "Cells", content["cells"]),
@@ -191,7 +191,7 @@ def _quality(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def _meaning(outcome: Outcome, quality: Quality) -> str:
-    """Say what a quality means; where ripples cannot be told, why not and what to change."""
+    """Describe a quality; where ripples cannot be identified, say why and what to change."""
     if quality is not Quality.NOT_IDENTIFIABLE:
         return MEANINGS[quality]
     looks = [s for cell in outcome.cells.values() for s in cell if s is not None]
@@ -200,7 +200,7 @@ def _meaning(outcome: Outcome, quality: Quality) -> str:
     return told or MEANINGS[quality]
 
 
-def _ripple_maps(store: Store, written: set[str], names: Names) -> Iterator[Any]:
+def _ripple_maps(store: Store, written: set[str], names: Categories) -> Iterator[Any]:
     for name in RIPPLE_MAPS:
         path = store.output / name
         if name in written and has_content(path):
@@ -234,7 +234,7 @@ def _convergence(outcome: Outcome) -> dict[str, Any] | None:
     return {"count": len(drawn), "rows": rows}
 
 
-def _classes(outcome: Outcome, names: Names) -> Iterator[dict[str, Any]]:
+def _classes(outcome: Outcome, names: Categories) -> Iterator[dict[str, Any]]:
     for c in outcome.sediments:
         law = c["law"] is not None  # objects have none
         yield {
@@ -249,11 +249,11 @@ def _classes(outcome: Outcome, names: Names) -> Iterator[dict[str, Any]]:
         }
 
 
-def _sediments(store: Store, outcome: Outcome, names: Names) -> dict[str, Any]:
+def _sediments(store: Store, outcome: Outcome, names: Categories) -> dict[str, Any]:
     path = store.output / "sediment_class.tif"
     if not has_content(path):
         return {}
-    caption = "Sediment classes and refined boundaries. White: none known (shadow, no data)."
+    caption = "Sediment classes and refined boundaries. White: no class (shadow, no data)."
     content = json.loads((store.output / "sediment_classes.json").read_text(encoding="utf-8"))
     laws = [law_of(one) for one in content["classes"]]
     figure = class_figure(outcome.histograms, laws, names.sediments) if laws else None

@@ -1,4 +1,4 @@
-"""Cells as dask work: threads of this machine, or workers of a cluster that may die."""
+"""Cells as dask tasks: on threads of this machine, or on workers of a cluster that may die."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sasmap.survey.cells import Cell
 log = logging.getLogger("sasmap")
 
 CLUSTER_TIMEOUT = "10s"
-DIED = "its worker died, also when it had no other work: out of memory, or killed"
+DIED = "its worker died, also when run alone: out of memory, or killed"
 Progress = Callable[[int, int], None]
 
 
@@ -30,7 +30,7 @@ def cluster(address: str | None) -> Iterator[Any]:
     Parameters
     ----------
     address : str or None
-        Of the scheduler, with its port.
+        Address of the scheduler, with its port.
 
     Yields
     ------
@@ -58,7 +58,7 @@ def cluster(address: str | None) -> Iterator[Any]:
 
 
 def _check_address(address: str) -> None:
-    """Refuse an address that names no port: dask would end in a traceback, or wait."""
+    """Refuse an address without a port: dask would raise a traceback, or wait."""
     host, mark, port = address.rpartition("://")[2].rpartition(":")
     if not mark or not port.isdigit() or not host:
         raise InputError(
@@ -68,7 +68,7 @@ def _check_address(address: str) -> None:
 
 
 def check_workers(client: Any, inputs: Sequence[Path]) -> None:
-    """Check that the workers of a cluster see the survey's files as this process does.
+    """Check that the workers of a cluster see the same survey files as this process.
 
     Parameters
     ----------
@@ -87,19 +87,19 @@ def check_workers(client: Any, inputs: Sequence[Path]) -> None:
     answers = client.run(_not_seen, sizes, on_error="return")
     for worker, answer in sorted(answers.items()):
         if isinstance(answer, OSError):
-            continue  # it died meanwhile: others do its work
+            continue  # it has died: others take over its work
         if isinstance(answer, Exception):
             told = " ".join(f"{type(answer).__name__}: {answer}".split())
-            raise InputError(f"--scheduler: worker {worker} cannot look for the tiles: {told}")
+            raise InputError(f"--scheduler: worker {worker} cannot check the tiles: {told}")
         if answer is not None:
             raise InputError(
-                f"{answer}: worker {worker} does not see this file, or another one there: expected "
-                "a file system that all workers share, at the same place"
+                f"{answer}: worker {worker} does not see this file, or sees another one: expected "
+                "a file system that all workers share, mounted at the same path"
             )
 
 
 def _not_seen(sizes: dict[str, int]) -> str | None:
-    """Return the first file that is not there with its size; runs on a worker."""
+    """Return the first file that is missing or has another size; runs on a worker."""
     for name, size in sizes.items():
         try:
             if os.stat(name).st_size != size:
@@ -123,16 +123,16 @@ def compute(
     context : Context
     cells : sequence of Cell
     workers : int or None
-        Threads, without a cluster; default one a core.
+        Threads, without a cluster; default one per core.
     client : distributed.Client or None
     progress : callable or None
-        Called with the number of finished cells and of all.
+        Called with the number of finished cells and of all cells.
 
     Returns
     -------
     list of list of LookResult
-        A cell's looks, in the order of `cells`. Where a worker dies its cells run again elsewhere;
-        one that no worker survives is a fault of that cell alone.
+        Looks of each cell, in the order of `cells`. Where a worker dies its cells run again
+        elsewhere; a cell that kills every worker is recorded as failed.
     """
     shared = dask.delayed(context, pure=False, traverse=False)
     tasks = [dask.delayed(run_cell, pure=False)(shared, cell) for cell in cells]
@@ -163,11 +163,11 @@ def _on_cluster(
                 tick()
             else:
                 suspects.append(place[future.key])
-    # a cell that kills its worker takes others there with it: each alone tells which one it is
+    # a cell that kills its worker takes others with it: run alone, only that cell fails
     for i in sorted(suspects):
         cell, _ = tasks[i]
         log.info("cell row %d, column %d: again, alone", *cell)
-        # a new task: under its old key the scheduler would answer with the old failure
+        # a new task: under its old key the scheduler would return the old failure
         shared = dask.delayed(context, pure=False, traverse=False)
         future = client.compute(dask.delayed(run_cell, pure=False)(shared, cell), retries=0)
         found = future.exception()

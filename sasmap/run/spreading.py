@@ -1,4 +1,4 @@
-"""Work on the parts of a map, spread over a cluster whose workers may die."""
+"""Parts of a map computed on a cluster whose workers may die."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ log = logging.getLogger("sasmap")
 
 
 class Spread:
-    """Does what :func:`sasmap.numerics.threads.mapped` does, on the workers of a cluster.
+    """The equivalent of :func:`sasmap.numerics.threads.mapped` on the workers of a cluster.
 
-    Parts are written to rasters in the output folder, which all workers share; what comes back is
-    no more than statistics of blocks of pixels, and lines. Doing a part twice writes the same.
+    Parts are written to rasters in the output folder, which all workers share; only statistics of
+    blocks of pixels, and lines, are returned. A part that runs twice writes the same.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Spread:
         self._client = client
 
     def __call__(self, function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        """Yield what a function gives for each item, in order.
+        """Yield a function's result for each item, in order.
 
         Parameters
         ----------
@@ -40,7 +40,7 @@ class Spread:
         Raises
         ------
         RuntimeError
-            Where no worker survives an item.
+            Where an item kills every worker.
         """
         from distributed import KilledWorker  # heavy, and only clusters need it
 
@@ -52,20 +52,20 @@ class Spread:
                     result = futures[k].result()
                 except KilledWorker:
                     result = self._alone(function, item)
-                futures[k] = None  # forget what has been told
+                futures[k] = None  # free results that were yielded
                 yield result
         finally:
             self._client.cancel([f for f in futures if f is not None])
 
     def _alone(self, function: Callable[[Any], Any], item: Any) -> Any:
-        """Do an item again: another may have killed the workers that it was on."""
+        """Run an item again: another one may have killed its workers."""
         from distributed import KilledWorker
 
         log.info("sediments: %s again, alone", item)
         try:
             return self._client.compute(_task(function, item), retries=0).result()
         except KilledWorker:
-            raise RuntimeError(f"{item}: no worker survives it: out of memory, or killed") from None
+            raise RuntimeError(f"{item}: kills every worker: out of memory, or killed") from None
 
 
 def _task(function: Callable[[Any], Any], item: Any) -> Any:

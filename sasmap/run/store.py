@@ -1,4 +1,4 @@
-"""Finished work in the output folder: kept under a key of everything it depends on."""
+"""Finished results in the output folder, stored under a hash of everything they depend on."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from sasmap.ripples.summary import Summary
 from sasmap.version import VERSION
 
 FOLDER = ".sasmap"
-# What JSON has no number for, as text.
+# Numbers that JSON lacks, as text.
 NO_NUMBERS = ("nan", "inf", "-inf")
 
 
 @dataclass(frozen=True)
 class Store:
-    """Finished looks at cells, a small JSON file each, written whole or not at all.
+    """Finished looks at cells, a small JSON file each, written atomically.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Store:
 
     @property
     def folder(self) -> Path:
-        """Folder of what is kept between runs."""
+        """Folder of results that are kept between runs."""
         return self.output / FOLDER
 
     @property
@@ -49,7 +49,7 @@ class Store:
         return self.output / FOLDER / "unfinished"
 
     def path(self, key: str) -> Path:
-        """Where the result under a key is kept."""
+        """File of the result under a key."""
         return self.output / FOLDER / "cells" / key[:2] / f"{key}.json"
 
     def load(self, key: str) -> Summary | None:
@@ -61,17 +61,17 @@ class Store:
             return None
 
     def save(self, key: str, summary: Summary) -> None:
-        """Keep a finished result."""
+        """Store a finished result."""
         write_text(
             self.path(key), json.dumps(_plain(asdict(summary)), allow_nan=False), self.scratch
         )
 
     def arrays_path(self, key: str) -> Path:
-        """Where the arrays of a result are kept."""
+        """File of a result's arrays."""
         return self.path(key).with_suffix(".npz")
 
     def save_arrays(self, key: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keep a result's arrays; before the result, which completes them."""
+        """Store a result's arrays; call it before `save`, which marks the result as complete."""
         with written_whole(self.arrays_path(key), self.scratch) as part, part.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
 
@@ -84,14 +84,14 @@ class Store:
             return None
 
     def clear(self) -> None:
-        """Forget all finished work."""
+        """Delete all finished results."""
         for path in self.folder.glob("*.json"):
             path.unlink(missing_ok=True)
         for path in (self.output / FOLDER / "cells").glob("*/*.*"):
             path.unlink(missing_ok=True)
 
     def remove_leftovers(self) -> None:
-        """Remove what an interrupted run left unfinished."""
+        """Remove unfinished files of an interrupted run."""
         for path in self.scratch.glob("*"):
             path.unlink(missing_ok=True)
 
@@ -99,7 +99,7 @@ class Store:
 def _summary(content: dict[str, Any]) -> Summary:
     if set(content) != {f.name for f in fields(Summary)}:
         raise ValueError("not a summary of this version")
-    reason = str(content.pop("reason"))  # the one text; all others stand for numbers
+    reason = str(content.pop("reason"))  # the only text; other strings stand for numbers
     pairs = {"reason": reason} | {k: _frozen(v) for k, v in content.items()}
     pairs["quality"] = Quality(content["quality"])
     pairs["left_out"] = LeftOut(content["left_out"])
@@ -108,7 +108,7 @@ def _summary(content: dict[str, Any]) -> Summary:
 
 
 def _plain(value: Any) -> Any:
-    """Write what JSON has no number for as text: NaN and the infinities."""
+    """Replace NaN and the infinities, which JSON lacks, by text."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
@@ -117,7 +117,7 @@ def _plain(value: Any) -> Any:
 
 
 def _frozen(value: Any) -> Any:
-    """Turn lists, however deep, into the tuples they were, and such text into numbers."""
+    """Turn lists, at any depth, back into tuples, and such text into numbers."""
     if isinstance(value, list):
         return tuple(_frozen(v) for v in value)
     return float(value) if value in NO_NUMBERS else value
@@ -131,7 +131,7 @@ def digest(content: Any) -> str:
 
 @cache
 def code_version() -> str:
-    """Version of sasmap and a hash of its source: other code may give other results."""
+    """Version of sasmap and a hash of its source: changed code may change results."""
     state = hashlib.sha256()
     root = Path(__file__).parent.parent
     for path in sorted(root.rglob("*.py")):

@@ -1,4 +1,4 @@
-"""Which window suits a survey's ripples, by the spectra of some of its cells."""
+"""Suggestion of a window from the wavelengths in some cells."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from sasmap.ripples.image import as_image
 from sasmap.run.plan import Plan
 from sasmap.run.task import WIDER, clip_of
 
-# Looks that are looked at, and the share of a window's pixels that they have to show.
+# Looks that are examined (a choice: seconds of work), and least valid share of a window's pixels.
 LOOKS, SHOWN = 12, 0.25
-# Wavelengths that a window should hold, at least and about; steps that people choose it in, pixels.
+# Wavelengths that a window should hold at least, and ideally (docs/guide.md); step of suggestions,
+# pixels.
 ENOUGH, WANTED, STEP = 5.0, 8.0, 10
 
 
 def describe_window(plan: Plan) -> Iterator[str]:
-    """Tell the wavelengths that some looks show, and which window holds eight of them.
+    """Describe the wavelengths in some looks, and the window that holds eight of them.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def describe_window(plan: Plan) -> Iterator[str]:
 
 
 def _wavelengths(plan: Plan) -> tuple[list[float], int]:
-    """Wavelengths (m) of the looks that show ripples, in windows wider than a cell; looks seen."""
+    """Wavelengths (m) in looks with ripples, in windows wider than a cell; looks examined."""
     settings = plan.settings.ripples
     assert settings is not None
     pairs = [(cell, k) for cell, looks in plan.cells.items() for k in looks]

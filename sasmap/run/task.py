@@ -1,4 +1,4 @@
-"""What a worker does: one look at one cell, from pixels to a finished result in the store."""
+"""The task of a worker: one look at one cell, from pixels to a stored result."""
 
 from __future__ import annotations
 
@@ -33,16 +33,18 @@ from sasmap.survey.placement import on_cell
 from sasmap.survey.tiles import Tile
 
 MIN_VALID = 0.25
-# Steps of the probability that a pixel is rippled, as the store keeps it, and pixels not seen.
+# Steps of the stored probability that a pixel is rippled, and the code of unobserved pixels: both
+# fit into a byte.
 CERTAIN, UNSEEN = 200, 255
-# Cells a side of the window in which a wave that is too long for a cell is estimated.
+# Side, in cells, of the window in which a wavelength too long for a cell is estimated.
 WIDER = 2.0
-# Pixels a side of a modelled image, and draws a chain, that are kept for the report, at most.
+# Most pixels a side of a modelled image, and draws per chain, stored for the report: what a figure
+# can show.
 PICTURE, DRAWS = 250, 100
 
 
 class LookResult(NamedTuple):
-    """What became of one look at one cell: a summary, or why there is none."""
+    """Result of one look at one cell: a summary, or why there is none."""
 
     summary: Summary | None
     fault: str | None
@@ -51,14 +53,14 @@ class LookResult(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What all tasks of a run share."""
+    """Inputs common to all tasks of a run."""
 
     plan: Plan
     store: Store
 
 
 def run_cell(context: Context, cell: Cell) -> list[LookResult]:
-    """Estimate all looks at a cell, or take their finished results. Never raises.
+    """Estimate all looks at a cell, or load their stored results. Never raises.
 
     Parameters
     ----------
@@ -68,7 +70,7 @@ def run_cell(context: Context, cell: Cell) -> list[LookResult]:
     Returns
     -------
     list of LookResult
-        Of each look that shows the cell, in their order.
+        One per look that shows the cell, in order.
     """
     settings = context.plan.settings.ripples
     assert settings is not None
@@ -83,7 +85,7 @@ def run_cell(context: Context, cell: Cell) -> list[LookResult]:
 
 
 def _earlier(summaries: Sequence[Summary | None], settings: RippleSettings) -> list[Summary]:
-    """Return the looks that the next starts from: none by default."""
+    """Return the looks that the next one is conditioned on: none by default."""
     return [s for s in summaries if s is not None] if settings.method == "zare-cobb" else []
 
 
@@ -95,7 +97,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
     result = _finished(context, cell, look, prior, key)
     if result.summary is None or result.summary.reason != Unclear.WAVES:
         return result
-    # a wave that is too long for the cell: what lies around it may tell
+    # a wavelength too long for the cell: a larger window may show it
     around = sorted({t.path for t in tiles_around(plan, cell, look)})
     wide = _finished(
         context, cell, look, prior, digest([key, [plan.hashes[p] for p in around]]), WIDER
@@ -107,7 +109,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
 def _finished(
     context: Context, cell: Cell, look: Swath, prior: Prior, key: str, window: float = 1.0
 ) -> LookResult:
-    """Take a look's result from the store, or work it out: of a window so many cells a side."""
+    """Load a look's result from the store, or compute it, for a window so many cells a side."""
     plan, store = context
     kept = store.load(key)
     if kept is not None:
@@ -142,7 +144,7 @@ def _estimated(
 
 
 def try_look(plan: Plan, cell: Cell, k: int) -> None:
-    """Do what a look at a cell takes, and keep nothing: for `plan`, which times it."""
+    """Estimate a look at a cell without storing it: `plan` times it."""
     swath, settings = plan.swaths[k], ripple_settings(plan)
     clip = clip_of(plan, cell, swath, swath.side)
     if clip is None or _shown(plan, cell, swath, clip) < MIN_VALID:
@@ -154,9 +156,9 @@ def try_look(plan: Plan, cell: Cell, k: int) -> None:
 
 
 def finished_looks(plan: Plan, store: Store) -> int:
-    """Count the looks at cells that an earlier run has finished.
+    """Count the looks that an earlier run has finished.
 
-    With the published method only each cell's first: what the later ones depend on is not known.
+    With the published method only the first look of each cell: the later ones depend on results.
     """
     settings = ripple_settings(plan)
     prior = next_prior([], settings)
@@ -168,7 +170,7 @@ def finished_looks(plan: Plan, store: Store) -> int:
 
 
 def _modelled(plan: Plan, cell: Cell, clip: Clip, posterior: Posterior) -> dict[str, NDArray[Any]]:
-    """Modelled amplitude on a cell's own pixels: small for the report, whole if it is kept."""
+    """Modelled amplitude on a cell's own pixels: reduced for the report, in full if it is kept."""
     settings = plan.settings.ripples
     assert settings is not None
     place = plan.opened.grid, cell, plan.settings.window
@@ -191,7 +193,7 @@ def _pictured(posterior: Posterior) -> dict[str, NDArray[Any]]:
 
 
 def block_means(image: NDArray[Any], most: int) -> NDArray[Any]:
-    """Average an image (rows, columns) over squares, to at most so many pixels a side."""
+    """Average an image (rows, columns) over squares, to at most `most` pixels a side."""
     factor = max(1, -(-max(image.shape) // most))
     rows, columns = (-(-n // factor) for n in image.shape)
     padded = np.full((rows * factor, columns * factor), np.nan)
@@ -204,7 +206,7 @@ def block_means(image: NDArray[Any], most: int) -> NDArray[Any]:
 
 
 def in_bytes(image: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
-    """Quantise an image of values of at least 0 to a byte a pixel; 0 stands for NaN.
+    """Quantise an image of values of at least 0 to one byte per pixel; 0 stands for NaN.
 
     Returns the bytes and the step, so that the image is ``(bytes - 1) * step``.
     """
@@ -226,7 +228,7 @@ def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: NDArray[np.float64]) ->
 def extent_beside(
     context: Context, cell: Cell, k: int, references: Sequence[NDArray[np.float64]]
 ) -> NDArray[np.uint8] | None:
-    """Tell how far ripples of the cells around go on into one where none were found.
+    """Find how far ripples of neighbouring cells continue into one where none were found.
 
     Parameters
     ----------
@@ -235,12 +237,12 @@ def extent_beside(
     k : int
         Swath.
     references : sequence of ndarray (3,)
-        `Posterior.reference` of the cells around.
+        `Posterior.reference` of the neighbouring cells.
 
     Returns
     -------
     ndarray of uint8 (window, window) or None
-        As the store keeps it; None where the look does not show the cell.
+        As stored; None where the look does not show the cell.
     """
     plan = context.plan
     look = plan.swaths[k]
@@ -268,7 +270,7 @@ def _floor(plan: Plan, cell: Cell, pixels: Clip) -> dict[str, NDArray[Any]]:
 
 
 def ripple_settings(plan: Plan) -> RippleSettings:
-    """Return settings of the estimates: the report needs the modelled amplitude."""
+    """Return settings of the estimates; the report needs the modelled amplitude."""
     settings = plan.settings.ripples
     assert settings is not None
     return settings.model_copy(update={"keep_model": True})
@@ -277,7 +279,7 @@ def ripple_settings(plan: Plan) -> RippleSettings:
 def clip_of(
     plan: Plan, cell: Cell, look: Swath, side: Side, window: float = 1.0
 ) -> xr.DataArray | None:
-    """Read what one side of a look's pass shows of a cell, or of so many cells a side about it."""
+    """Read a look's clip of a cell, or of a window of so many cells a side around it."""
     grid = plan.opened.grid
     if window == 1:
         tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
@@ -289,7 +291,7 @@ def clip_of(
 
 
 def tiles_around(plan: Plan, cell: Cell, look: Swath) -> tuple[Tile, ...]:
-    """Tiles of a look's pass that show a cell or what lies half a cell around it, each once."""
+    """Tiles of a look's pass that show a cell or its surroundings of half a cell, each once."""
     met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
     reach = int(np.ceil(0.5 * (WIDER - 1) * grid.size / grid.spacing - 1e-9))
     steps = range(-reach, reach + 1)
@@ -299,7 +301,7 @@ def tiles_around(plan: Plan, cell: Cell, look: Swath) -> tuple[Tile, ...]:
 
 
 def _shown(plan: Plan, cell: Cell, look: Swath, clip: xr.DataArray) -> float:
-    """Fraction of a cell that a look's pass shows, its other side included if that matters."""
+    """Fraction of a cell that a look's pass shows, its other side included where it matters."""
 
     def fraction(part: xr.DataArray | None) -> float:
         if part is None:
@@ -315,7 +317,7 @@ def _shown(plan: Plan, cell: Cell, look: Swath, clip: xr.DataArray) -> float:
 
 
 def _seed(seed: int, look: Swath, cell: Cell) -> np.random.SeedSequence:
-    # the pass by its name, so that a pass added or moved in the list changes no other
+    # by the pass's name, so that adding or moving a pass does not change the others
     name = int(digest(look.label)[:16], 16)
     return np.random.SeedSequence([seed, name, cell.row, cell.column])
 
@@ -341,7 +343,7 @@ def _key(plan: Plan, cell: Cell, look: Swath, prior: list[Any]) -> str:
 
 
 def excluded_hash(plan: Plan, cell: Cell | None) -> str | None:
-    """Hash what is left out of a cell, or of the survey; None where nothing is."""
+    """Hash the excluded area of a cell, or of the survey; None where there is none."""
     excluded = plan.opened.excluded
     if excluded is None:
         return None
@@ -381,7 +383,7 @@ def read_floor(context: Context, cell: Cell, k: int, key: str | None) -> Floor |
     k : int
         Swath.
     key : str or None
-        Under which the ripple stage kept them, if it did.
+        Key under which the ripple stage stored them, if it did.
 
     Returns
     -------

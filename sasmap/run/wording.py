@@ -1,10 +1,10 @@
-"""Bytes and seconds as people write them."""
+"""Bytes and seconds in words."""
 
 from __future__ import annotations
 
 
 def size(count: float) -> str:
-    """Write bytes as people do."""
+    """Write a number of bytes with a unit."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 999.5:
             return f"{count:.3g} {unit}"
@@ -13,7 +13,7 @@ def size(count: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write seconds as people do."""
+    """Write a duration with a unit."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     minutes = round(seconds / 60)

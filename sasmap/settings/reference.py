@@ -1,4 +1,4 @@
-"""The reference of survey.yaml, made from the model so that it cannot drift."""
+"""The reference page of survey.yaml, generated from the model so that it stays correct."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from sasmap.settings.survey import Survey
 
 HEAD = """# Keys of survey.yaml
 
-Made from the program's own model by `python -m sasmap.settings.reference > docs/keys.md`. Every
-other key, a value of another kind or out of its range is refused with a line that says what was
-expected. Relative paths start from the survey file's folder. `sasmap schema` prints the same as
+Generated from the program's model by `python -m sasmap.settings.reference > docs/keys.md`. Any
+other key, and a value of the wrong type or out of range, is refused with a line that says what was
+expected. Relative paths start at the survey file's folder. `sasmap schema` prints the same as
 JSON Schema, for editors.
 """
 
@@ -30,7 +30,7 @@ def survey_reference() -> str:
     )
     for title, block in parts:
         lines.append(f"## {title}\n")
-        lines.append("| key | value | default | what it is |")
+        lines.append("| key | value | default | meaning |")
         lines.append("|---|---|---|---|")
         lines.extend(_rows(block))
         lines.append("")
@@ -53,7 +53,7 @@ def _default(about: dict[str, Any]) -> str:
 
 
 def _kind(about: dict[str, Any]) -> str:
-    """Say what values a key takes."""
+    """Describe the values that a key takes."""
     if "anyOf" in about:
         kinds = [_kind(one) for one in about["anyOf"] if one.get("type") != "null"]
         return " or ".join(dict.fromkeys(kinds))

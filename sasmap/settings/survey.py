@@ -1,4 +1,4 @@
-"""survey.yaml as a frozen model, and every message a user can get about it."""
+"""survey.yaml as a frozen model, and every message about it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sasmap.settings.yamlfile import load_yaml
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 
 
-# Columns that a navigation file is read for.
+# Columns that are read from a navigation file.
 NavigationColumn = Literal["x", "y", "longitude", "latitude", "altitude"]
 
 _CLASSES = "expected auto, a number of at least 1, or a list of classes with training polygons"
@@ -41,14 +41,14 @@ class _Block(BaseModel):
 
 
 class PassSettings(_Block):
-    """One pass of the sonar: its tiles, its navigation, and how it looked."""
+    """One pass of the sonar: its tiles, navigation and viewing side."""
 
-    name: Name = Field(description="of its own for each pass")
+    name: Name = Field(description="unique name of the pass")
     tiles: Annotated[tuple[Name, ...], Field(min_length=1)] = Field(
         description="globs relative to the survey file; single-band amplitude GeoTIFFs"
     )
     navigation: Name = Field(
-        description="CSV: altitude and either longitude, latitude or x, y; one row a ping"
+        description="CSV: altitude and either longitude, latitude or x, y; one row per ping"
     )
     navigation_crs: str | None = Field(
         None,
@@ -56,25 +56,25 @@ class PassSettings(_Block):
         "the first tile's for x, y",
     )
     side: Literal["port", "starboard", "both"] = Field(
-        description="of the track that the tiles show; both may cover one side only"
+        description="side of the track that the tiles show; with both, each may show one only"
     )
     range: Literal["ground", "slant"] = Field(
-        "ground", description="what the tiles' across-track axis is"
+        "ground", description="kind of range along the tiles' across-track axis"
     )
     amplitude: Literal["linear", "intensity", "db"] = Field(
         "linear",
-        description="what a pixel's number is: amplitude, its square, or 20 log10 of it (dB)",
+        description="what the pixel values are: amplitude, its square, or 20 log10 of it (dB)",
     )
     columns: dict[NavigationColumn, Name] | None = Field(
         None,
-        description="the CSV's own names of `x`, `y`, `longitude`, `latitude`, `altitude`",
+        description="the CSV's names for `x`, `y`, `longitude`, `latitude`, `altitude`",
     )
     altitude_sd: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = Field(
-        0.02, description="how well altitude is known, standard deviation, m"
+        0.02, description="standard deviation of the altitude, m"
     )
     date: str | None = Field(
         None,
-        description="when it was recorded: a date, or date and time, as 2024-05-01 or "
+        description="when it was recorded: a date, or date and time, such as 2024-05-01 or "
         "2024-05-01T14:30:00Z",
     )
 
@@ -84,7 +84,7 @@ class PassSettings(_Block):
         given = [] if value is None else [name.strip().lower() for name in value.values()]
         twice = sorted({name for name in given if given.count(name) > 1})
         if twice:
-            raise ValueError(f"expected a column of its own for each, got {twice[0]!r} twice")
+            raise ValueError(f"expected a different column for each, got {twice[0]!r} twice")
         return value
 
     @field_validator("navigation_crs")
@@ -106,9 +106,9 @@ class PassSettings(_Block):
 
 
 class ClassSettings(_Block):
-    """A sediment class with the polygons that show it."""
+    """A sediment class with its training polygons."""
 
-    name: Name = Field(description="of its own for each class")
+    name: Name = Field(description="unique name of the class")
     training: Name = Field(description="GeoJSON or GeoPackage of polygons, in any CRS")
 
 
@@ -121,10 +121,10 @@ class SedimentSettings(_Block):
         | Annotated[tuple[ClassSettings, ...], Field(min_length=1)]
     ) = Field("auto", description="auto, a number, or a list of named classes with training")
     model: Name | None = Field(
-        None, description="sediment_classes.json of another run, whose classes are taken instead"
+        None, description="sediment_classes.json of another run, whose classes are used instead"
     )
     least_area: Annotated[float, Field(ge=0, le=1e6)] = Field(
-        0.5, description="m^2; smaller patches are given to the class that is nearest"
+        0.5, description="smallest area on the map, m^2; smaller patches join a neighbouring class"
     )
 
     @model_validator(mode="after")
@@ -136,7 +136,7 @@ class SedimentSettings(_Block):
             twice = sorted({name for name in names if names.count(name) > 1})
             if twice:
                 raise ValueError(
-                    f"classes: expected a name of its own for each, got {twice[0]!r} twice"
+                    f"classes: expected a different name for each, got {twice[0]!r} twice"
                 )
             if len(names) > 250:
                 raise ValueError("classes: expected at most 250")
@@ -153,10 +153,10 @@ class Survey(_Block):
         500, description="pixels; a cell is window times the first tile's pixel size"
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
-        1, description="of all random numbers: the same gives the same bytes"
+        1, description="seed of all random numbers: the same seed gives the same bytes"
     )
     passes: Annotated[tuple[PassSettings, ...], Field(min_length=1)] = Field(
-        description="one entry a pass"
+        description="one entry per pass"
     )
     area: Name | None = Field(
         None, description="GeoJSON or GeoPackage of polygons: only cells that touch them are mapped"
@@ -177,7 +177,7 @@ class Survey(_Block):
     @model_validator(mode="before")
     @classmethod
     def _empty_blocks(cls, content: Any) -> Any:
-        """Give a block that is named but left empty its defaults."""
+        """Fill a block that is named but left empty with its defaults."""
         if not isinstance(content, dict):
             return content
         empty: dict[str, Any] = {
@@ -190,7 +190,7 @@ class Survey(_Block):
         names = [p.name for p in self.passes]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"passes: expected a name of its own for each, got {twice[0]!r} twice")
+            raise ValueError(f"passes: expected a different name for each, got {twice[0]!r} twice")
         if self.ripples is None and self.sediments is None:
             raise ValueError("nothing to compute: expected a ripples or a sediments block")
         return self
@@ -235,12 +235,12 @@ def load_survey(path: str | Path) -> Survey:
     Returns
     -------
     Survey
-        Frozen settings; the files it names are not opened yet.
+        Frozen settings; the files that it names are not opened yet.
 
     Raises
     ------
     InputError
-        With one line for every fault found, each naming file and key.
+        With one line per fault, each naming file and key.
 
     Examples
     --------
@@ -248,7 +248,7 @@ def load_survey(path: str | Path) -> Survey:
     >>> [p.name for p in survey.passes], survey.window
     (['near', 'far'], 500)
     """
-    # absolute: workers of a cluster were started in other folders
+    # absolute: workers of a cluster run in other folders
     path = expanded(str(path)).absolute()
     survey = parse_model(Survey, load_yaml(path), path)
     survey._path = path
@@ -269,7 +269,7 @@ def expanded(path: str) -> Path:
     """
     try:
         return Path(path).expanduser()
-    except RuntimeError:  # no such user: the name is taken as it is, and its absence told
+    except RuntimeError:  # no such user: keep the path, so that the missing file is reported
         return Path(path)
 
 
@@ -319,7 +319,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, path: Path) -> l
     for detail in details:
         key = _key(detail["loc"])
         if detail["type"] == "too_short" and any(_inside(d, detail) for d in details):
-            continue  # its entries were refused, and say so themselves
+            continue  # the faults of its entries are reported
         if key.endswith("sediments.classes"):  # a fault for each kind of value it could have been
             detail["type"], detail["msg"] = "value_error", _CLASSES
         lines.append(

@@ -10,7 +10,7 @@ import yaml
 
 from sasmap.errors import InputError, check_file
 
-# Largest settings file that is read, bytes: a thousand passes fill a tenth of it.
+# Largest settings file that is read, bytes (a choice: a thousand passes fill a tenth of it).
 MAX_BYTES = 1_000_000
 
 

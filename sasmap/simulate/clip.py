@@ -1,4 +1,4 @@
-"""One clip of a simulated scene with its truth, without files: for studies and tests."""
+"""A single clip of a simulated scene with its truth, without files: for studies and tests."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ FloatArray = NDArray[np.float64]
 
 
 class SimulatedClip(NamedTuple):
-    """A clip and what is true of it.
+    """A clip and its true parameters.
 
     Attributes
     ----------
     clip : Clip
     wave : ndarray (2,)
-        Mean wave vector (east, north), cycles/m: of the plane fitted to the clip's own phase by
-        least squares (with forks, by its local slopes); NaN without ripples.
+        Mean wave vector (east, north), cycles/m: that of the plane fitted to the clip's phase by
+        least squares (with forks, to its local slopes); NaN without ripples.
     height : float
         Median A_H where there are ripples, m.
     rippled_fraction : float
@@ -40,24 +40,24 @@ class SimulatedClip(NamedTuple):
 
     @property
     def frequency(self) -> float:
-        """Of the mean wave vector, cycles/m."""
+        """Frequency of the mean wave vector, cycles/m."""
         return float(np.hypot(*self.wave))
 
     @property
     def azimuth(self) -> float:
-        """Of the mean wave vector, degrees clockwise from grid north, 0 to 180."""
+        """Azimuth of the mean wave vector, degrees clockwise from grid north, 0 to 180."""
         return float(np.degrees(np.arctan2(*self.wave)) % 180)
 
 
 def simulate_clip(scene: Scene, rng: np.random.Generator, which: int = 0) -> SimulatedClip:
-    """Record a whole scene as one clip.
+    """Simulate a whole scene as one clip.
 
     Parameters
     ----------
     scene : Scene
-        As small as a clip.
+        Of the size of a clip.
     rng : Generator
-        Of speckle and noise; the sea floor is the scene's own, by its seed.
+        For speckle and noise; the sea floor depends on the scene's own seed.
     which : int
         Index of the pass.
 
@@ -108,16 +108,16 @@ def coherent_cell(
     range_flattened: bool = False,
     blur: float = 0.5,
 ) -> SimulatedClip:
-    """Simulate one cell by coherent facets, looked at eastwards from a straight track.
+    """Simulate one cell by coherent facets; the sonar looks east from a straight track.
 
     Parameters
     ----------
     rng : Generator
-        Of the sea floor's wander, phase and forks, of speckle and of noise.
+        For the wander, phase and forks of the ripples, speckle and noise.
     frequency, height : float
         f (cycles/m) and A_H (m); A_H of 0 for a flat floor.
     azimuth_off_look : float
-        Crest normal against the look, degrees clockwise.
+        Angle of the crest normal from the look direction, degrees clockwise.
     phase : float, optional
         At the cell's centre, rad; default random.
     near : float
@@ -133,9 +133,9 @@ def coherent_cell(
     wander, wander_length : float
         Rms of the phase's wander, rad, and its correlation length, m.
     forks : int
-        How many, at random places.
+        Number of forks, at random places.
     noise : float or None
-        Receiver's, dB of the mean intensity of flat floor at the cell's centre.
+        Receiver noise, dB relative to the mean intensity of flat floor at the cell's centre.
     nu : float
         Shape of the sediment's texture; infinite for none.
     range_flattened : bool
@@ -209,10 +209,10 @@ def _truth(
 
 
 def _mean_slope(phase: FloatArray) -> FloatArray:
-    """Slope of the plane fitted to a phase by least squares, rad a column and a row.
+    """Slope of the plane fitted to a phase by least squares, rad per column and row.
 
-    By the local slopes, weighted by a parabola: around a fork the phase itself has a jump somewhere
-    that no sea floor shows.
+    Fitted to the local slopes, weighted by a parabola: around a fork the phase itself has a branch
+    cut that the sea floor does not.
     """
     slopes = []
     for axis in (1, 0):

@@ -1,10 +1,10 @@
-"""Tiles of coherent scenes: facets of the sea floor that scatter, placed by their slant range.
+"""Tiles of coherent scenes: scattering facets of the sea floor, placed by their slant range.
 
-The sea floor is cut into facets. Each scatters by its own normal, area and law if a ray from the
-array reaches it; its complex echo of random phase is put where its slant range would lie on a flat
-floor; echoes add as complex numbers under a point spread function. Speckle, shadow, layover, the
-lean of crests towards the sonar and the brightening of facing slopes follow from that alone. This
-module and what it imports share nothing with :mod:`sasmap.ripples`, which is tested with it.
+The sea floor is divided into facets. Each scatters according to its normal, area and law if a ray
+from the array reaches it; its complex echo of random phase is placed where its slant range lies on
+a flat floor; echoes add coherently under a point spread function. Speckle, shadow, layover, the
+lean of crests towards the sonar and the brightening of facing slopes all follow from this. This
+module and its imports share no code with :mod:`sasmap.ripples`, which is tested against it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sasmap.simulate.facets import (
     sum_rows,
     take_pixels,
 )
-from sasmap.simulate.geometry import Line, track_line
+from sasmap.simulate.geometry import StraightTrack, track_line
 from sasmap.simulate.laws import backscatter
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
@@ -30,15 +30,16 @@ from sasmap.simulate.seafloor import SeaFloor
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Facets of a strip, at most about: what bounds memory.
+# Approximate largest number of facets in a strip; bounds memory (a choice).
 STRIP = 400_000
-# Grazing angle at which sediments of unlike laws are compared by their level, rad.
+# Grazing angle, rad, at which the levels of sediments of different laws are defined (a choice: the
+# middle of the usual 10 to 60 degrees).
 LEVEL_GRAZING = float(np.radians(30.0))
 FACETS, TEXTURE, NOISE = 1, 2, 3
 
 
 class _Grid(NamedTuple):
-    """Grid of a pass, of facets over ground range and of the image over the range shown.
+    """Grid of a pass: facets over ground range, and the image over the displayed range.
 
     Attributes
     ----------
@@ -47,7 +48,7 @@ class _Grid(NamedTuple):
     row_step, column_step : float
         m.
     fine : int
-        Rows in a pixel; there are twice as many columns.
+        Rows per pixel; there are twice as many columns.
     sigma : float
         Standard deviation of the point spread function, m.
     """
@@ -61,7 +62,7 @@ class _Grid(NamedTuple):
 
     def rows(self, along: FloatArray) -> IntArray:
         """Nearest rows."""
-        # what lies half-way goes one way, whatever the rounding of the tile's coordinates
+        # ties go one way, whatever the rounding of the tile's coordinates
         return np.rint((along - self.along) / self.row_step + 1e-4).astype(np.int64)
 
     def columns(self, across: FloatArray) -> IntArray:
@@ -70,11 +71,11 @@ class _Grid(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """What every strip of a tile needs."""
+    """Inputs common to all strips of a tile."""
 
     scene: Scene
     floor: SeaFloor
-    line: Line
+    line: StraightTrack
     grid: _Grid
     slant: bool
     noise: float
@@ -101,7 +102,7 @@ def coherent_amplitude(
     shown : ndarray (pixels,)
         Their distance from the track in the image: ground range, or slant range, m.
     key : int
-        Of the speckle; pixels rendered apart with the same key belong to the same image.
+        Of the speckle; pixels rendered separately with the same key belong to the same image.
 
     Returns
     -------
@@ -148,8 +149,8 @@ def flat_intensity(
     Returns
     -------
     ndarray
-        Level times S(grazing), and in slant range over the cosine of the grazing angle, of which a
-        pixel then shows more floor; over the same at the scene's centre without the level.
+        Level times S(grazing), in slant range divided by the cosine of the grazing angle because a
+        pixel covers more floor; relative to the same at the scene's centre without the level.
     """
     line = track_line(scene, scene_pass)
     altitude = line.altitude_at(along)
@@ -161,11 +162,11 @@ def flat_intensity(
     return np.asarray(intensity / np.cos(grazing) if slant else intensity)
 
 
-def _grid(scene: Scene, scene_pass: ScenePass, line: Line) -> _Grid:
+def _grid(scene: Scene, scene_pass: ScenePass, line: StraightTrack) -> _Grid:
     pixel = scene_pass.pixel_size or scene.pixel_size
     corner = scene.origin[0] + 0.5 * pixel, scene.origin[1] + scene.size[1] - 0.5 * pixel
     view = line.see(*(np.array([v]) for v in corner))
-    # at least two rows to a standard deviation of half a pixel, and four columns
+    # at least two rows and four columns per standard deviation of half a pixel
     fine = max(2, int(np.ceil(1 / scene_pass.blur)))
     along, across = float(view.along[0]), float(view.ground_range[0])
     sigma = scene_pass.blur * pixel
@@ -178,7 +179,7 @@ def _scattered(scene: Scene, sediment: int, grazing: FloatArray) -> FloatArray:
     return np.asarray(backscatter(law, grazing) / backscatter(law, LEVEL_GRAZING))
 
 
-def _reference(scene: Scene, line: Line, slant: bool) -> float:
+def _reference(scene: Scene, line: StraightTrack, slant: bool) -> float:
     """Intensity of flat floor of the first sediment and level 1 at the scene's centre."""
     centre = line.see(*(np.array([v]) for v in scene.centre))
     grazing = np.arctan2(centre.altitude, centre.ground_range)
@@ -209,7 +210,7 @@ def _strip(what: _Pass, rows: IntArray, columns: IntArray) -> FloatArray:
     sine[np.isnan(shown)] = 0.0
     inner = slice(HALO, -HALO)
     power = _power(what, sine, (x[inner, inner], y[inner, inner]), across, facets)
-    # each facet adds its power times the point spread function's, which sums to one
+    # each facet adds its power times that of the point spread function, which sums to one
     sigma = grid.sigma / grid.column_step
     amplitude = np.sqrt(power * area / (sigma * np.sqrt(np.pi)))
     place = (shown - grid.across) / grid.column_step - left
@@ -225,7 +226,7 @@ def _strip(what: _Pass, rows: IntArray, columns: IntArray) -> FloatArray:
 
 
 def _facet_columns(what: _Pass, near: float, far: float, altitude: FloatArray) -> IntArray:
-    """Columns of the facets that the image shows between two ranges, or that may hide those."""
+    """Columns of facets that appear between two ranges of the image, or may shadow those."""
     relief, margin = what.floor.relief, (REACH + 1) * what.grid.sigma + what.grid.column_step
     low, high = float(altitude.min()), float(altitude.max())
     near, far = max(near - margin, 0.0), far + margin
@@ -235,7 +236,7 @@ def _facet_columns(what: _Pass, near: float, far: float, altitude: FloatArray) -
     else:
         first = near**2 - 2 * high * relief - relief**2
         last = far**2 + 2 * high * relief
-    # a crest hides a trough no farther behind it than this (rays over both extremes)
+    # farthest distance behind a crest that it can shadow (rays over both extremes)
     sight = np.sqrt(max(first, 0.0)) * max(low - relief, 0.0) / (low + relief)
     step, offset = what.grid.column_step, what.grid.across
     start = int(np.ceil((max(sight, 0.5 * step) - offset) / step))
@@ -250,7 +251,7 @@ def _power(
     rows: IntArray,
     columns: IntArray,
 ) -> FloatArray:
-    """Intensity that facets return per area of floor over the reference, texture included."""
+    """Backscattered intensity per area of floor over the reference, texture included."""
     scene = what.scene
     index = what.floor.sediment(*points)
     power = np.zeros_like(sine)

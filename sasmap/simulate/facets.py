@@ -1,10 +1,9 @@
-"""Compiled inner loops of coherent scenes: sight, randomness, summation.
+"""Compiled inner loops of coherent scenes: line of sight, random numbers, summation.
 
-All in one file: numba keeps compiled code on disk and notices changes only there.
+All in one file: numba caches compiled code on disk per file and misses changes in others.
 
-Random numbers are counted, not drawn: each is a hash (SplitMix64: Steele, Lea & Flood 2014) of a
-key and of where on the sea floor or in the image it belongs, so that any part of a pass can be
-rendered by itself.
+Random numbers are counter-based: each is a hash (SplitMix64: Steele, Lea & Flood 2014) of a key and
+of its place on the sea floor or in the image, so that any part of a pass can be rendered by itself.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# The point spread function ends at this many standard deviations (1e-14 of its power is beyond).
+# Truncation of the point spread function, standard deviations (1e-14 of its power is beyond).
 REACH = 5.5
-# Grid points about each facet row and column that slopes are taken from.
+# Margin of grid points for differences of fourth order.
 HALO = 2
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -49,7 +48,7 @@ def _mix(z: np.uint64) -> np.uint64:
 
 @_compiled
 def _place(key: np.uint64, row: int, column: int) -> np.uint64:
-    """Key of one place on a grid."""
+    """Key of a place on a grid."""
     line = _mix(key + np.uint64(row) * _STRIDE)
     return _mix(line + np.uint64(column) * _GOLDEN)
 
@@ -122,7 +121,7 @@ def see_facets(
     steps: tuple[float, float],
     slant: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Follow the lines of sight of a strip's facets.
+    """Trace the lines of sight to a strip's facets.
 
     Parameters
     ----------
@@ -140,9 +139,9 @@ def see_facets(
     Returns
     -------
     sine, area, shown : ndarray (rows, columns)
-        Sine of the local grazing angle, 0 where a facet faces away or lies in shadow (an earlier
-        one has a larger (h - altitude) / range); area of the facet over its map area; range at
-        which the image shows its echo, m, NaN where it shows none.
+        Sine of the local grazing angle, 0 where a facet faces away or lies in shadow (a nearer one
+        has a larger (h - altitude) / range); area of the facet over its map area; range at which
+        its echo appears in the image, m, NaN where there is none.
     """
     rows, columns = altitude.size, ground_range.size
     sine, area, shown = np.empty((3, rows, columns))
@@ -150,7 +149,7 @@ def see_facets(
         highest = -np.inf
         for j in range(columns):
             y, x = i + HALO, j + HALO
-            # differences of fourth order: ripples may be only a few pixels long
+            # differences of fourth order: wavelengths may be only a few pixels
             across = 8 * (elevation[y, x + 1] - elevation[y, x - 1])
             across = (across - elevation[y, x + 2] + elevation[y, x - 2]) / (12 * steps[1])
             along = 8 * (elevation[y + 1, x] - elevation[y - 1, x])
@@ -186,7 +185,7 @@ def sum_rows(
     amplitude : ndarray (rows, facets)
         Root mean square of the facets' echoes; 0 for none.
     shown : ndarray (rows, facets)
-        Where they are shown, in columns of the image from its first.
+        Where they appear, in columns from the image's first.
     key : uint64
     first : tuple of int
         Row and column of the first facet on the grid of the pass.

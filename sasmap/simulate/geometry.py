@@ -1,4 +1,4 @@
-"""Where a pass of a simulated sonar sees map points from."""
+"""Viewing geometry of a simulated pass."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ FloatArray = NDArray[np.float64]
 
 
 class View(NamedTuple):
-    """Where a pass sees map points from; arrays of the points' shape, m."""
+    """Viewing geometry of map points; arrays of the points' shape, m."""
 
     along: FloatArray
     ground_range: FloatArray
     altitude: FloatArray
 
 
-class Line(NamedTuple):
+class StraightTrack(NamedTuple):
     """A pass's straight track, in map coordinates.
 
     Attributes
@@ -28,7 +28,7 @@ class Line(NamedTuple):
     start : ndarray (2,)
         Map position of its first ping.
     direction, look : ndarray (2,)
-        Unit vectors (east, north) along the track and from it to the sea floor.
+        Unit vectors (east, north) along the track and across it, towards the imaged sea floor.
     length : float
         m.
     altitude : tuple of float
@@ -60,8 +60,8 @@ class Line(NamedTuple):
         )
 
 
-def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
-    """Lay a pass's track so that the scene lies abeam of it.
+def track_line(scene: Scene, scene_pass: ScenePass) -> StraightTrack:
+    """Place a pass's track so that the scene lies abeam of it.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
 
     Returns
     -------
-    Line
+    StraightTrack
     """
     heading = np.radians(scene_pass.heading)
     direction = np.array([np.sin(heading), np.cos(heading)])
@@ -80,4 +80,4 @@ def track_line(scene: Scene, scene_pass: ScenePass) -> Line:
     abeam = np.array(scene.centre) - scene_pass.distance * look
     altitude = scene_pass.altitude
     both = altitude if isinstance(altitude, tuple) else (altitude, altitude)
-    return Line(abeam - half * direction, direction, look, 2 * half, both)
+    return StraightTrack(abeam - half * direction, direction, look, 2 * half, both)

@@ -1,4 +1,4 @@
-"""What a pass of a simulated sonar records: scattering, shadow, speckle, noise, quantisation."""
+"""Tiles of a simulated pass: scattering, shadow, speckle, noise, quantisation."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from sasmap.ripples.scattering import (
     steepest,
 )
 from sasmap.simulate.coherent import coherent_amplitude
-from sasmap.simulate.geometry import Line, View, track_line
+from sasmap.simulate.geometry import StraightTrack, View, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
 
 FloatArray = NDArray[np.float64]
 
-# Sight lines are followed at this fraction of a pixel in range.
+# Step of the lines of sight over range, pixels (a choice: finer than what a pixel resolves).
 SIGHT_STEP = 0.5
-# Sight lines start this far before the nearest pixel, m: no shadow of a ripple is longer.
+# Lines of sight start this far before the nearest pixel, m: no ripple's shadow is longer.
 SIGHT_REACH = 40.0
 NODATA = {"uint8": 0, "uint16": 0, "float32": np.nan}
-# Mean flat amplitude as a fraction of the largest value, so that bright facets do not saturate.
+# Pixel value of the rms amplitude of flat floor: speckle of a facet four times as bright saturates
+# 8-bit pixels with probability exp(-9) = 1e-4.
 FILL = {"uint8": 255 / 6, "uint16": 65535 / 12, "float32": 1.0}
 
 
@@ -50,12 +51,12 @@ def record(
     shape : tuple of int
         Rows and columns.
     rng : Generator
-        With coherent physics tiles of one pass meet without a seam if each is given an equal one.
+        With coherent physics, tiles of a pass given equal generators meet without a seam.
 
     Returns
     -------
     ndarray (rows, columns)
-        Of the pass's dtype, with NODATA where the pass sees nothing of the scene.
+        Of the pass's dtype, with NODATA where the pass does not see the scene.
     """
     line = track_line(scene, scene_pass)
     column, row = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
@@ -98,19 +99,19 @@ def _covered(
 def scattering(
     scene: Scene,
     floor: SeaFloor,
-    line: Line,
+    line: StraightTrack,
     x: FloatArray,
     y: FloatArray,
     view: View,
     pixel: float,
 ) -> FloatArray:
-    """Amplitude a* at map points (ZC 3), over that of flat sea floor at the scene's centre.
+    """Amplitude a* at map points (ZC 3), relative to flat sea floor at the scene's centre.
 
     Parameters
     ----------
     scene : Scene
     floor : SeaFloor
-    line : Line
+    line : StraightTrack
     x, y : ndarray
         Map coordinates, m.
     view : View
@@ -126,14 +127,14 @@ def scattering(
     waves = floor.waves(x, y)
     grazing = np.arctan2(view.altitude, view.ground_range)
     along_look = waves.east * line.look[0] + waves.north * line.look[1]
-    # looked at from behind, the same sea floor has its phase reversed (docs/science.md)
+    # seen from behind, the same ripples have a reversed phase (docs/science.md, Orientation)
     phase = np.where(along_look < 0, np.pi - waves.phase, waves.phase)
     along_look = np.abs(along_look)
     steepness = 2 * np.pi * along_look * waves.height
     result = cross_section(grazing)
     for k, patch in enumerate(scene.ripples):
         on = (waves.patch == k) & (waves.height > 0)
-        # a scene of published physics has no asymmetric ripples
+        # scenes with published physics have no asymmetric ripples
         if on.any() and patch.profile != "asymmetric":
             full = 2 * np.pi * np.hypot(waves.east[on], waves.north[on]) * waves.height[on]
             slope = profile_slope(phase[on], full, patch.profile)
@@ -148,7 +149,7 @@ def scattering(
 def _shadow(
     scene: Scene,
     floor: SeaFloor,
-    line: Line,
+    line: StraightTrack,
     view: View,
     waves: Waves,
     phase: FloatArray,
@@ -165,7 +166,7 @@ def _shadow(
     ranges = np.arange(start, float(view.ground_range.max()) + pixel, SIGHT_STEP * pixel)
     first = float(view.along.min())
     place = (view.along - first) / pixel
-    # looked at obliquely, pixels lie between lines of sight, which are then closer
+    # at oblique looks pixels lie between lines of sight, which are then closer
     apart = pixel if np.abs(place - np.rint(place)).max() < 1e-3 else 0.5 * pixel
     rows = np.arange(first, float(view.along.max()) + pixel, apart)
     highest = np.empty((rows.size, ranges.size))
@@ -177,14 +178,14 @@ def _shadow(
     place = np.clip((view.along - first) / apart, 0, rows.size - 1)
     row = np.minimum(np.floor(place + 1e-3).astype(np.int64), max(rows.size - 2, 0))
     share = np.maximum(place - row, 0)
-    # half a sight before the pixel or more: what is nearer is left to the second test
+    # at least half a step before the pixel: the second test covers what is nearer
     before = np.floor((view.ground_range - start) / (SIGHT_STEP * pixel) - 0.5 + 1e-6).astype(int)
     rise = (floor.elevation(waves) - view.altitude) / view.ground_range
     column = np.clip(before, 0, ranges.size - 1)
     beside = highest[np.minimum(row + 1, rows.size - 1), column]
     above = highest[row, column] + share * (beside - highest[row, column])
     hidden = (rise < above) & (before >= 0)
-    # between two sights: where the rise falls, a point just before hides this one
+    # between two lines: where the rise decreases, a point just before hides this one
     nearer = np.maximum(view.ground_range - 0.02 * pixel, 1e-3 * pixel)
     x, y = line.point(view.along, nearer)
     hidden |= rise < (floor.elevation(floor.waves(x, y)) - view.altitude) / nearer

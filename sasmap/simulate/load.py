@@ -1,4 +1,4 @@
-"""Reading a scene file; apart from the scene's model, which knows nothing of surveys."""
+"""Reading of scene files; separate from the scene's model, which does not depend on surveys."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def load_scene(path: str | Path) -> Scene:
     Raises
     ------
     InputError
-        With one line for every fault found.
+        With one line per fault.
     """
     path = Path(path)
     return parse_model(Scene, load_yaml(path), path)

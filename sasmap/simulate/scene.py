@@ -33,16 +33,16 @@ class _Block(BaseModel):
 
 
 class Sediment(_Block):
-    """A sediment: its backscatter and speckle law, and where it lies."""
+    """A sediment: its level, scattering and speckle laws, and outline."""
 
     name: Name
     level: Positive = Field(
-        1.0, description="mean intensity, relative; between unlike laws, at a grazing of 30 degrees"
+        1.0, description="relative mean intensity; between laws, at 30 degrees of grazing"
     )
     nu: Annotated[float, Field(gt=0)] = Field(
-        float("inf"), description="texture shape; infinite: no texture"
+        float("inf"), description="shape of the texture; infinite: no texture"
     )
-    kappa: NotNegative = Field(0.0, description="steady over random amplitude, delta / a")
+    kappa: NotNegative = Field(0.0, description="coherent over random amplitude, delta / a")
     polygon: Polygon | None = Field(
         None, description="m east and north of the origin; none: everywhere"
     )
@@ -52,28 +52,26 @@ class Sediment(_Block):
 
 
 class RipplePatch(_Block):
-    """A field of ripples: geometry, profile, and how far its crests are from straight."""
+    """A field of ripples: geometry, crest profile, wander and forks of its crests."""
 
     frequency: Positive = Field(description="cycles/m")
     height: Positive = Field(description="A_H, m")
     azimuth: FiniteFloat = Field(description="crest normal, degrees clockwise from grid north")
-    phase: FiniteFloat = Field(0.0, description="rad, at the patch's reference, the scene's centre")
+    phase: FiniteFloat = Field(0.0, description="rad, at the scene's centre")
     profile: CrestProfile = "sine"
     asymmetry: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.35, description="a of the asymmetric profile, sin(p + a sin p)"
     )
-    wander: NotNegative = Field(0.0, description="rms of the phase's wander, rad")
+    wander: NotNegative = Field(0.0, description="rms wander of the phase, rad")
     wander_length: Positive = Field(10.0, description="correlation length of the wander, m")
     forks: tuple[Point, ...] = Field(
-        (), description="where crests split, m east and north of the origin"
+        (), description="where crests fork, m east and north of the origin"
     )
     bends: Polygon | None = Field(
         None, description="where crests wander and fork, in pairs of forks; default everywhere"
     )
     polygon: Polygon | None = None
-    added: bool = Field(
-        False, description="crosses the ripples beneath, instead of lying in their place"
-    )
+    added: bool = Field(False, description="adds to the ripples beneath, instead of replacing them")
 
     @model_validator(mode="after")
     def _paired(self) -> Self:
@@ -83,7 +81,7 @@ class RipplePatch(_Block):
 
 
 class ScenePass(_Block):
-    """A straight pass by the scene and how its sonar records."""
+    """A straight pass by the scene and the settings of its sonar."""
 
     name: Name
     heading: FiniteFloat = Field(description="degrees clockwise from grid north")
@@ -104,12 +102,14 @@ class ScenePass(_Block):
         0.5, description="standard deviation of the coherent point spread function, pixels"
     )
     range_flattened: bool = Field(
-        False, description="divided by the flat floor's level over range; coherent physics only"
+        False, description="divide by flat floor's level; coherent physics only"
     )
-    noise: FiniteFloat | None = Field(-25.0, description="receiver noise, dB of the mean intensity")
+    noise: FiniteFloat | None = Field(
+        -25.0, description="receiver noise, dB over the mean intensity"
+    )
     dtype: Literal["uint8", "uint16", "float32"] = "uint8"
     positions: Literal["projected", "geographic"] = "projected"
-    area: Polygon | None = Field(None, description="what the pass covers; default the whole scene")
+    area: Polygon | None = Field(None, description="area covered; default the whole scene")
 
 
 class Scene(_Block):
@@ -123,14 +123,14 @@ class Scene(_Block):
     pixel_size: Positive
     window: Annotated[int, Field(ge=3, le=10_000)] = 500
     physics: Literal["published", "coherent"] = Field(
-        "published", description="published: a* times speckle; coherent: facets that scatter"
+        "published", description="published: a* times speckle; coherent: scattering facets"
     )
     law: LawChoice = Field("lambert", description="scattering law, coherent physics only")
     shadow: Literal["line-of-sight", "crest"] = "line-of-sight"
     sediments: Annotated[tuple[Sediment, ...], Field(min_length=1)] = Field(
-        description="later ones lie on earlier ones; the first lies everywhere"
+        description="later ones cover earlier ones; the first lies everywhere"
     )
-    ripples: tuple[RipplePatch, ...] = Field((), description="later ones lie on earlier ones")
+    ripples: tuple[RipplePatch, ...] = Field((), description="later ones cover earlier ones")
     passes: Annotated[tuple[ScenePass, ...], Field(min_length=1)]
 
     @field_validator("crs")
@@ -149,12 +149,12 @@ class Scene(_Block):
     def _consistent(self) -> Self:
         names = [p.name for p in self.passes]
         if len(set(names)) < len(names):
-            raise ValueError("passes: expected a name of its own for each")
+            raise ValueError("passes: expected a different name for each")
         if any(set(name) & set("/*?[]") or name.startswith(".") for name in names):
-            raise ValueError("passes: expected names that can name a folder, without * ? [ ]")
+            raise ValueError("passes: expected names that are valid folder names, without * ? [ ]")
         if set(names) & {"out", "truth"}:
             raise ValueError(
-                "passes: expected other names than out and truth, folders of their own"
+                "passes: expected other names than out and truth, which are folders of the output"
             )
         if self.sediments[0].polygon is not None:
             raise ValueError("sediments: expected the first one without a polygon, everywhere")
@@ -170,7 +170,7 @@ class Scene(_Block):
 
 
 def _check_physics(scene: Scene) -> None:
-    """Refuse what the scene's physics would leave unused."""
+    """Refuse settings that the scene's physics would ignore."""
     coherent = {
         "law": "law" in scene.model_fields_set,
         "sediments.law": any(s.law is not None for s in scene.sediments),

@@ -14,11 +14,12 @@ from sasmap.simulate.scene import RipplePatch, Scene
 
 FloatArray = NDArray[np.float64]
 
-# Random waves that are summed to a Gaussian field: its excess kurtosis is -1.5 / WAVES = -0.006.
+# Random waves summed to a Gaussian field: its excess kurtosis is -1.5 / WAVES = -0.006.
 WAVES = 256
-# Grid points per correlation length of the phase's wander.
+# Grid points per correlation length of the wander: the error of cubic interpolation is then 1e-5
+# of its rms.
 WANDER_SAMPLES = 8
-# Width of the edge over which bends begin, in correlation lengths of the wander.
+# Width of the edge over which bends begin, in correlation lengths of the wander (a choice).
 BENDS = 0.5
 
 
@@ -38,7 +39,7 @@ class Waves(NamedTuple):
     """
 
     def where(self, other: Waves, better: NDArray[np.bool_]) -> Waves:
-        """Take the other's waves where they are better."""
+        """Take the other's waves where a condition holds."""
         return Waves(*(np.where(better, b, a) for a, b in zip(self, other, strict=True)))
 
     phase: FloatArray
@@ -49,7 +50,7 @@ class Waves(NamedTuple):
 
 
 def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
-    """Tell whether points lie in a polygon, by the even-odd rule.
+    """Find which points lie in a polygon, by the even-odd rule.
 
     Parameters
     ----------
@@ -143,14 +144,14 @@ class SeaFloor:
         return index
 
     def waves(self, x: FloatArray, y: FloatArray) -> Waves:
-        """Ripple phase, wave vector and height at map points: of the highest of the systems."""
+        """Ripple phase, wave vector and height at map points, of the highest system."""
         first, *added = self.systems(x, y)
         for one in added:
             first = first.where(one, one.height > first.height)
         return first
 
     def second(self, x: FloatArray, y: FloatArray) -> Waves:
-        """As :meth:`waves`, of the second highest of the systems."""
+        """As :meth:`waves`, of the second highest system."""
         first, *added = self.systems(x, y)
         second = _no_waves(np.shape(x))
         for one in added:
@@ -161,7 +162,7 @@ class SeaFloor:
         return second
 
     def systems(self, x: FloatArray, y: FloatArray) -> list[Waves]:
-        """Waves whose heights add up to the sea floor's.
+        """Systems of ripples whose heights add up to the sea floor's.
 
         Parameters
         ----------
@@ -171,7 +172,7 @@ class SeaFloor:
         Returns
         -------
         list of Waves
-            Of the patches that lie on each other, then of each that is added to them.
+            Of the patches that cover each other, then of each that is added.
         """
         shape = np.shape(x)
         found = [_no_waves(shape)]
@@ -182,14 +183,14 @@ class SeaFloor:
         return found
 
     def _lay(self, waves: Waves, k: int, x: FloatArray, y: FloatArray) -> None:
-        """Lay a patch on the waves of other ones."""
+        """Cover the waves of other patches by a patch."""
         patch, polygon = self._scene.ripples[k], self._patches[k]
         inside = np.ones(np.shape(x), bool) if polygon is None else in_polygon(x, y, polygon)
         if not inside.any():
             return
         px, py = x[inside], y[inside]
         phase, east, north, height = self._patch(k, patch, px, py)
-        if polygon is not None:  # ripples fade over half a wavelength, no cliff at the edge
+        if polygon is not None:  # ripples fade out over half a wavelength, without a step
             fade = np.clip(2 * patch.frequency * edge_distance(px, py, polygon), 0, 1)
             height = height * fade**2 * (3 - 2 * fade)
         waves.phase[inside], waves.height[inside], waves.patch[inside] = phase, height, k
@@ -217,7 +218,7 @@ class SeaFloor:
         return phase, east, north, height * (1 - share * (1 - calm))
 
     def _forked(self, patch: RipplePatch, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Phase that forks add, its gradient, rad/m, and the share of height that they leave."""
+        """Phase added by forks, its gradient, rad/m, and the remaining fraction of the height."""
         result = np.stack([np.zeros_like(x), np.zeros_like(x), np.zeros_like(x), np.ones_like(x)])
         before = np.zeros_like(x)
         for j, (fx, fy) in enumerate(patch.forks):
@@ -226,7 +227,7 @@ class SeaFloor:
             square = dx**2 + dy**2
             soft = square + (0.25 / patch.frequency) ** 2
             angle = np.arctan2(dy, dx)
-            if sign < 0:  # a pair's phase jumps between its two forks alone, so that it can fade
+            if sign < 0:  # the branch cut of a pair lies between its forks, so that it can fade out
                 angle -= 2 * np.pi * np.rint((angle - before) / (2 * np.pi))
             before = angle
             result[:3] += sign * np.stack([angle, -dy / soft, dx / soft])
@@ -234,7 +235,7 @@ class SeaFloor:
         return result
 
     def _bent(self, patch: RipplePatch, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Share of its wander and forks that a patch's phase has, and the share's gradient, 1/m."""
+        """Fraction of wander and forks in a patch's phase, and the fraction's gradient, 1/m."""
         if patch.bends is None:
             return np.stack([np.ones_like(x), np.zeros_like(x), np.zeros_like(x)])
         polygon = np.array(patch.bends) + np.array(self._scene.origin)
@@ -252,10 +253,10 @@ class SeaFloor:
 
     @property
     def relief(self) -> float:
-        """No point is farther from the mean sea floor than this, m."""
+        """Upper bound of the height over or under the mean sea floor, m."""
         highest, added = 0.0, 0.0
         for patch in self._scene.ripples:
-            # the Stokes term, with room for crests that wander to twice the wave number
+            # the Stokes term, with a margin for crests that wander to twice the wave number
             extra = 2 * np.pi * patch.frequency * patch.height if patch.profile == "stokes" else 0.0
             most = patch.height * (1 + extra)
             if patch.added:
@@ -290,14 +291,14 @@ def _no_waves(shape: tuple[int, ...]) -> Waves:
 
 
 def _wander(scene: Scene, k: int, patch: RipplePatch) -> _Wander | None:
-    """Sum random plane waves whose wave numbers are Gaussian: a Gaussian correlation."""
+    """Sum random plane waves with Gaussian wave numbers: a Gaussian correlation."""
     if patch.wander == 0:
         return None
     rng = np.random.default_rng(np.random.SeedSequence([scene.seed, 101, k]))
     numbers = rng.normal(0, 1 / patch.wander_length, (WAVES, 2))
     offsets = rng.uniform(0, 2 * np.pi, WAVES)
     step = patch.wander_length / WANDER_SAMPLES
-    margin = 4 * step + 60.0  # sight lines start outside the scene
+    margin = 4 * step + 60.0  # lines of sight start outside the scene
     x = np.arange(-margin, scene.size[0] + margin + step, step)
     y = np.arange(-margin, scene.size[1] + margin + step, step)
     values = np.zeros((3, y.size, x.size))

@@ -1,10 +1,9 @@
-"""Where shadow begins and ends along a ripple, for any ripple and any geometry, as one table.
+"""Where shadow begins and ends along a ripple, for any ripple and geometry, as one table.
 
-A point is hidden where the floor before it rises over the straight ray from it to the sonar, and
-that ray is a line of slope s = (altitude - h) / range. With phase for distance and A_H for height,
-its slope is s / (2 pi f A_H cos(alpha)): whatever the range, altitude and look, shadow reaches from
-one phase past the crest to another that depend on this ratio (and, for Stokes's profile, on the
-steepness) alone.
+A point is hidden where the floor before it rises above the straight ray to the sonar, a line of
+slope s = (altitude - h) / range. In units of phase and A_H its slope is s / (2 pi f A_H cos alpha).
+For any range, altitude and look, the phases past the crest where shadow begins and ends depend on
+this ratio alone (and on the steepness, for a Stokes profile).
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from sasmap.ripples.scattering import ProfileName, profile_height
 FloatArray = NDArray[np.float64]
 ShadowRule = Literal["line-of-sight", "crest"]
 
-# Steepness 2 pi f A_H up to which a profile's dependence on it is tabulated.
+# Largest tabulated steepness 2 pi f A_H (slopes up to 45 degrees).
 MAX_STEEPNESS = 1.0
-# Size of the table, and places along a wave at which floor and ray are compared: shadow is then
-# wrong on under 0.1 % of a wave (tests/simulate/test_shadow.py).
+# Size of the table, and points along a wavelength at which floor and ray are compared: the error of
+# shadow is then under 0.1 % of a wavelength (tests/simulate/test_shadow.py).
 STEEPNESSES, RATIOS, FINE = 33, 257, 4096
 
 
@@ -42,7 +41,7 @@ def shadow_table(rule: ShadowRule, profile: ProfileName) -> FloatArray:
         Over steepness, evenly up to MAX_STEEPNESS: the phase past the crest where shadow begins,
         the phase where it ends, rad, and (first value of the third row) the ratio beyond which
         there is none. Along the last axis the ratio over that limit is sin(pi x / 2)^2 with x
-        evenly from 0 to 1, which straightens both ends.
+        evenly from 0 to 1, which makes both ends nearly linear.
     """
     steepness = np.linspace(0, MAX_STEEPNESS, STEEPNESSES) if profile == "stokes" else np.zeros(1)
     return np.stack([_for_steepness(rule, profile, float(e)) for e in steepness])
@@ -82,7 +81,7 @@ def _edges(past: FloatArray, margin: FloatArray) -> tuple[float, float]:
 
 
 def _sight_edges(past: FloatArray, line: FloatArray) -> tuple[float, float]:
-    """Shadow's edges where the floor, tilted by the ray's slope, is under its running maximum."""
+    """Edges of shadow: the floor, tilted by the ray's slope, is below its running maximum."""
     highest = np.maximum.accumulate(line)
     hidden = np.flatnonzero(line < highest)
     if not hidden.size:
@@ -95,7 +94,7 @@ def _sight_edges(past: FloatArray, line: FloatArray) -> tuple[float, float]:
         offset = 0.5 * float(line[first - 1] - line[first + 1]) / float(bend)
     margin = highest - line
     begin = float(past[first]) + offset * float(past[1])
-    # the last stretch of shadow before a wavelength is over
+    # the last interval of shadow within a wavelength
     last = int(hidden[-1])
     end = _zero(past, np.where(margin > 0, margin, highest[last] - line), last)
     return begin, end
@@ -120,7 +119,7 @@ def shadow_mask(
     profile: ProfileName,
     rule: ShadowRule,
 ) -> NDArray[np.bool_]:
-    """Which points of straight ripples are in shadow, by the table.
+    """Find which points of straight ripples are in shadow, by the table.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Clips of straight ripples, exact to the pixel and quick: for studies and tests."""
+"""Clips of straight ripples, exact at each pixel and fast: for studies and tests."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def straight_clip(
     correlation: float = 0.0,
     lambert: bool = False,
 ) -> Clip:
-    """Simulate a clip looked at eastwards from a straight track (docs/science.md).
+    """Simulate a clip; the sonar looks east from a straight track (docs/science.md).
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def straight_clip(
     azimuth : float
         Of the crest normal, degrees clockwise from north; the look's is 90.
     phase : float
-        Of the ripple at the clip's centre, rad, looked at along the look.
+        Of the ripple at the clip's centre along the look direction, rad.
     near : float
         Ground range of the first column, m.
     altitude, pixel_size : float
@@ -50,13 +50,13 @@ def straight_clip(
     profile : {"sine", "stokes", "peaked"}
     shadow : {"line-of-sight", "crest"}
     noise : float
-        Intensity of the receiver's noise over the flat sea floor's.
+        Intensity of the receiver noise over that of flat sea floor.
     nu : float
         Shape of the speckle's texture; infinite for none.
     correlation : float
-        Of the speckle, pixels (standard deviation of the Gaussian that filters the complex field).
+        Of the speckle, pixels (standard deviation of the Gaussian filter of the complex field).
     lambert : bool
-        Scatter by Lambert's law, sine of the local grazing angle squared, instead of sigma_s.
+        Scatter by Lambert's law, squared sine of the local grazing angle, instead of sigma_s.
 
     Returns
     -------

@@ -27,9 +27,9 @@ from sasmap.simulate.seafloor import SeaFloor, Waves
 
 FloatArray = NDArray[np.float64]
 
-# Distance between the pings of simulated navigation, m.
+# Distance between the pings of simulated navigation, m (a choice; usual for SAS).
 PING_SPACING = 0.5
-# A truth pixel is this many of the scene's.
+# Side of a truth pixel in pixels of the scene (a choice: a tenth of the tiles' size on disk).
 TRUTH_PIXELS = 10
 
 
@@ -54,7 +54,7 @@ def simulate(scene: Scene, output: str | Path) -> list[Path]:
     Returns
     -------
     list of Path
-        What was written: tiles in a folder a pass, a navigation CSV a pass, ``truth/`` (GeoTIFFs of
+        Written files: tiles in one folder per pass, navigation CSVs, ``truth/`` (GeoTIFFs of
         ripple frequency, height, azimuth and sediment class; GeoJSON of class boundaries) and
         ``survey.yaml``.
 
@@ -75,7 +75,7 @@ def simulate(scene: Scene, output: str | Path) -> list[Path]:
     for k, scene_pass in enumerate(scene.passes):
         tiles = _write_tiles(scene, floor, scene_pass, k, folder, scratch)
         if not tiles:
-            raise InputError(f"passes.{scene_pass.name}: sees nothing of the scene")
+            raise InputError(f"passes.{scene_pass.name}: does not see the scene")
         written += tiles
         written.append(folder / f"{scene_pass.name}.csv")
         write_text(written[-1], _navigation(scene, scene_pass), scratch)
@@ -87,7 +87,7 @@ def simulate(scene: Scene, output: str | Path) -> list[Path]:
 
 
 def pass_raster(scene: Scene, scene_pass: ScenePass) -> Raster:
-    """Lay a pass's pixels over the scene, rotated as the pass says.
+    """Lay out a pass's pixels over the scene, with the pass's rotation.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def pass_raster(scene: Scene, scene_pass: ScenePass) -> Raster:
     c, s = np.cos(angle), np.sin(angle)
     altitude = scene_pass.altitude
     reach = 0.0
-    if scene_pass.range == "slant":  # slant range shows the sea floor farther from the track
+    if scene_pass.range == "slant":  # in slant range the sea floor lies farther from the track
         reach = max(altitude) if isinstance(altitude, tuple) else altitude
     east, north = scene.size[0] + 2 * reach, scene.size[1] + 2 * reach
     width = abs(c) * east + abs(s) * north
@@ -217,7 +217,7 @@ def _write_truth(scene: Scene, floor: SeaFloor, folder: Path, scratch: Path) -> 
 
 
 def _ripple_layers(waves: Waves, ending: str = "") -> dict[str, tuple[FloatArray, Layer]]:
-    """Rasters of a system of ripples by their names; NaN where there are none."""
+    """Rasters of a system of ripples, by name; NaN where there are no ripples."""
     values = {
         "frequency": np.hypot(waves.east, waves.north),
         "height": waves.height,
@@ -243,7 +243,7 @@ def _class_layer(scene: Scene) -> Layer:
 
 
 def _boundaries(scene: Scene, floor: SeaFloor) -> dict[str, Any]:
-    """Visible parts of the sediments' outlines, with the class on either side."""
+    """Visible parts of the sediments' outlines, with the classes on both sides."""
     features = []
     for polygon in floor.outlines:
         for line, left, right in _visible(scene, floor, polygon):
@@ -270,7 +270,7 @@ def _boundaries(scene: Scene, floor: SeaFloor) -> dict[str, Any]:
 def _visible(
     scene: Scene, floor: SeaFloor, polygon: FloatArray
 ) -> list[tuple[FloatArray, int, int]]:
-    """Cut an outline into runs that lie in the scene between the same two classes."""
+    """Cut an outline into pieces within the scene between the same two classes."""
     step = scene.pixel_size
     runs: list[tuple[FloatArray, int, int]] = []
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
@@ -308,7 +308,7 @@ def _joined(runs: list[tuple[FloatArray, int, int]]) -> list[tuple[FloatArray, i
 
 def _survey(scene: Scene) -> str:
     ripples = {"method": "default", "shadow": scene.shadow}
-    if scene.physics == "coherent":  # nothing that its physics would not bear out
+    if scene.physics == "coherent":  # only settings that apply to its physics
         ripples = {}
     content = {
         "name": scene.name,

@@ -1,4 +1,4 @@
-"""Where pixels are and what saw them: tiles, navigation, the cell grid."""
+"""Tiles, navigation and the cell grid: where pixels lie and how the sonar saw them."""
 
 from sasmap.survey.opening import open_pass, open_survey
 

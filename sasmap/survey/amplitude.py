@@ -1,12 +1,12 @@
-"""What a tile's pixel values are: amplitude, intensity or decibels, and a check that they can be.
+"""Kinds of pixel values (amplitude, intensity, decibels), and a check of the stated kind.
 
-The check rests on speckle. Where many scatterers share a pixel, amplitude follows a Rayleigh
+The check uses speckle. Where many scatterers share a pixel, amplitude follows a Rayleigh
 distribution: its standard deviation is 0.52 of its mean and its skewness 0.63 whatever the gain
 (Goodman, Speckle Phenomena in Optics, 2007, section 3.2). Texture (K distribution) and structure of
 the sea floor only raise both. Intensity has 1.0 and 2.0; decibels are skewed to the left;
-averaging, interpolation and display scaling lower the contrast. Statistics are taken over many
-small blocks, so that structure wider than a block does not count, and from the blocks with the
-least contrast.
+averaging, interpolation and display scaling lower the contrast. Statistics are computed over many
+small blocks, so that structure wider than a block does not matter, and from the blocks with the
+lowest contrast.
 """
 
 from __future__ import annotations
@@ -25,63 +25,67 @@ from sasmap.survey.lattice import FloatArray
 Kind = Literal["linear", "intensity", "db"]
 KINDS: tuple[Kind, ...] = ("linear", "intensity", "db")
 
-# Pixels a side of a block: wide enough for a standard error of 0.03 of its contrast, and narrower
-# than a quarter of most ripples.
+# Pixels a side of a block: large enough for a standard error of 0.03 of its contrast, and smaller
+# than a quarter of most wavelengths.
 BLOCK = 16
-# Blocks below which statistics say nothing: the quartile of fewer strays by more than the limits
-# allow (measured on Rayleigh speckle).
+# Fewest blocks for a judgement: the scatter of the quartile of fewer exceeds the tolerance of the
+# limits (measured on Rayleigh speckle).
 FEWEST_BLOCKS = 6
 # Contrast (standard deviation over mean, lower quartile of the blocks) that amplitude can have.
 # Measured: Rayleigh speckle 0.51, K-distributed with shape 1 0.75, with shape 0.5 (which is the
 # same as intensity) 0.95; two looks averaged 0.35, gamma 0.7 0.38, 0.85 0.45 (which lowers A_H by a
 # seventh), bilinear resampling 0.33, intensity 0.95.
 CONTRAST = (0.465, 0.85)
-# Where short ripples throw shadows into every block contrast is more, at most 2.1, but skewness
-# then at most 1.1 times that (1.2 where there are few shadows); intensity has 1.7 times.
+# Where short ripples cast shadow in every block, contrast reaches 2.1, with a skewness of at most
+# 1.1 times that (1.2 with few shadows); for intensity it is 1.7 times (measured on simulated
+# tiles).
 SHADOWED, MOST_SHADOWED = 1.4, 2.5
-# Blocks of which the quartile is that sure; of fewer it strays by this much more.
+# Number of blocks for which the limits hold, and allowance for the scatter of the quartile of
+# fewer.
 SURE_BLOCKS, STRAY = 60, 0.035
-# Correlated speckle varies less within a block than about its mean: by the area over which it is
-# correlated, summed up to so many pixels, on so many blocks at most.
+# Within a block, correlated speckle varies less than its true variance: corrected by the
+# correlation area, summed up to so many pixels, over so many blocks at most.
 LAGS, CORRELATED_BLOCKS = 5, 400
-# Least skewness of the blocks with least contrast. Rayleigh 0.55, correlated over four pixels
+# Least skewness of the blocks with lowest contrast. Rayleigh 0.55, correlated over four pixels
 # 0.25, uniform (an equalised histogram) 0, compressed highlights 0.2 and less.
 SKEWNESS = 0.22
-# Skewness of averaged intensity at the contrast of amplitude: four looks 0.85, Rayleigh 0.55.
+# Skewness that separates averaged intensity of amplitude's contrast: four looks 0.85, Rayleigh
+# 0.55.
 AVERAGED_SKEWNESS, AVERAGED_CONTRAST = 0.78, 0.53
 # Decibels, whatever their offset and scale, have a skewness of -1; gamma 0.45 has -0.1.
 LOGARITHMIC = -0.6
 # Share of pixels under a tenth of their block's median: Rayleigh 0.007, K with shape 1 0.02 at a
-# skewness above 1.2; more at less skewness is a black level that was subtracted, unless they lie
-# together: in shadows most neighbours of a dark pixel are dark, in speckle few.
+# skewness above 1.2; more at less skewness means a subtracted black level, unless dark pixels are
+# clustered: in shadow most neighbours of a dark pixel are dark, in speckle few.
 DARK_SHARE, DARK_SKEWNESS, TOGETHER = 0.05, 1.2, 0.5
-# Share of pixels at the lowest value where a black level was cut off; noise in shadow has few.
+# Share of pixels at the lowest value where a black level was clipped; noise in shadow has few.
 CLIPPED = 0.02
-# Skewness of the blocks with least contrast below which numbers may be decibels of the usual scale:
-# those have -0.95, what was equalised -0.35, saturated or compressed more.
+# Skewness of the blocks with lowest contrast below which values may be decibels of the usual scale:
+# those have -0.95, equalised images -0.35, saturated or compressed ones more.
 DECIBELS = -0.45
-# Steps of the grey scale that a block's mean must have: below, rounding makes the contrast.
+# Least mean of a block in grey levels: below, rounding determines the contrast.
 FEWEST_STEPS = 4.0
-# Different values of a tile, and steps of its median block, below which grey levels are few.
+# Number of distinct values of a tile, and grey levels of its median block, below which rounding
+# loses contrast.
 FEW_LEVELS, FEW_STEPS = 17, 2.0
-# Share of pixels at the largest value that is no chance: speckle reaches five times its mean in
+# Share of pixels at the largest value that means saturation: speckle reaches five times its mean in
 # under 1e-8 of pixels.
 SATURATED = 0.005
-# Largest standard deviation of negative numbers' share that noise about a black level explains.
+# Share of negative pixels that noise about a black level can explain.
 NEGATIVE = 0.002
-# Largest exponent, 20 log10, that a decibel can stand for: beyond, numbers are no decibels.
+# Largest level in dB that is plausible for any sonar; larger values are not decibels.
 LARGEST_DB = 400.0
 
 Sample = list[FloatArray]
 
 
 class Verdict(NamedTuple):
-    """What is wrong with a tile's pixel values.
+    """A fault of a tile's pixel values.
 
     Attributes
     ----------
     text : str
-        What was found, what was expected and what to do.
+        The finding, what was expected and what to do.
     refused : bool
         Whether values of that kind cannot be used at all.
     """
@@ -98,14 +102,14 @@ class Speckle:
     ----------
     blocks : int
     contrast : float
-        Standard deviation over mean, lower quartile, as of uncorrelated speckle.
+        Standard deviation over mean, lower quartile, corrected to uncorrelated speckle.
     skewness, least_skewness : float
-        Median of all blocks, and of the half with least contrast.
+        Median over all blocks, and over the half with lowest contrast.
     dark, together : float
-        Share of pixels under a tenth of their block's median, and of the neighbours of such pixels
-        that are so as well, along rows or columns.
+        Share of pixels under a tenth of their block's median, and share of such pixels among their
+        neighbours along rows or columns.
     floor : float
-        Share of pixels at the very lowest value.
+        Share of pixels at the lowest value.
     mean : float
         Median of the blocks' means.
     """
@@ -121,12 +125,12 @@ class Speckle:
 
     @property
     def enough(self) -> bool:
-        """Whether there were blocks enough to judge by."""
+        """Whether there are enough blocks for a judgement."""
         return self.blocks >= FEWEST_BLOCKS
 
     @property
     def fits(self) -> bool:
-        """Whether speckle of linear amplitude can look so."""
+        """Whether the statistics are possible for linear amplitude."""
         return (
             self.least_contrast <= self.contrast
             and not self.too_much
@@ -136,18 +140,18 @@ class Speckle:
 
     @property
     def too_much(self) -> bool:
-        """Whether there is more contrast than texture and shadows make."""
+        """Whether contrast exceeds what texture and shadow can cause."""
         shadowed = self.least_skewness < SHADOWED * self.contrast
         return self.contrast > (MOST_SHADOWED if shadowed else CONTRAST[1])
 
     @property
     def least_contrast(self) -> float:
-        """Least contrast that amplitude can have, as far as so many blocks tell."""
+        """Least possible contrast of amplitude, with an allowance for few blocks."""
         return CONTRAST[0] - (STRAY if self.blocks < SURE_BLOCKS else 0.0)
 
     @property
     def averaged_intensity(self) -> bool:
-        """Whether contrast is amplitude's, but skewness that of averaged intensity."""
+        """Whether contrast is that of amplitude, but skewness that of averaged intensity."""
         return self.contrast < AVERAGED_CONTRAST and self.least_skewness > AVERAGED_SKEWNESS
 
 
@@ -163,7 +167,7 @@ def to_linear(values: NDArray[np.floating], kind: Kind) -> NDArray[np.floating]:
     Returns
     -------
     ndarray
-        NaN where there is no amplitude: negative values, unless they are decibels.
+        NaN where a value is no amplitude: negative, unless decibels.
     """
     if kind == "db":
         bounded = np.where(np.abs(values) <= LARGEST_DB, values, np.nan)
@@ -173,19 +177,19 @@ def to_linear(values: NDArray[np.floating], kind: Kind) -> NDArray[np.floating]:
 
 
 def speckle_of(sample: Sample, least: float = 0.0) -> Speckle:
-    """Take statistics over the blocks of a sample.
+    """Compute statistics over the blocks of a sample.
 
     Parameters
     ----------
     sample : list of ndarray
         Pieces of a tile, NaN where there is nothing.
     least : float
-        Blocks of a smaller mean are passed over.
+        Blocks with a smaller mean are skipped.
     """
     parts = [_blocks(piece) for piece in sample]
     blocks = np.concatenate(parts) if parts else np.empty((0, BLOCK**2))
     mean, spread = blocks.mean(axis=1), blocks.std(axis=1)
-    # a block of one value is no speckle; rounding in the mean of large numbers is no spread
+    # a block of one value is not speckle; the rounding error of a large mean is not spread
     kept = (spread > 1e-6 * np.abs(mean)) & (mean >= least) & (mean != 0)
     blocks, mean, spread = blocks[kept], mean[kept], spread[kept]
     if not blocks.size:
@@ -215,7 +219,7 @@ def _together(dark: NDArray[np.bool_]) -> float:
 
 
 def _within(blocks: FloatArray, mean: FloatArray) -> float:
-    """Return the standard deviation of correlated speckle within a block over its true one."""
+    """Return the standard deviation of correlated speckle within a block over the true one."""
     some = slice(None, None, blocks.shape[0] // CORRELATED_BLOCKS + 1)
     part = (blocks[some] - mean[some, None]).reshape(-1, BLOCK, BLOCK)
     variance = float(np.mean(part**2))
@@ -229,7 +233,7 @@ def _within(blocks: FloatArray, mean: FloatArray) -> float:
 
 
 def _blocks(piece: FloatArray) -> FloatArray:
-    """Cut a piece into blocks without a gap, a row each."""
+    """Cut a piece into blocks without gaps, one row each."""
     rows, columns = (n // BLOCK for n in piece.shape)
     cut = piece[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
     blocks = cut.transpose(0, 2, 1, 3).reshape(-1, BLOCK**2)
@@ -255,7 +259,7 @@ def judge(sample: Sample, kind: Kind) -> Iterator[Verdict]:
         return
     levels = np.unique(values)
     if levels.size == 1:
-        yield Verdict(f"holds one value only ({levels[0]:g}): expected amplitudes")
+        yield Verdict(f"has a single value ({levels[0]:g}): expected amplitudes")
         return
     yield from _spoiled(sample, values, levels)
     step = float(np.diff(levels).min())
@@ -265,7 +269,7 @@ def judge(sample: Sample, kind: Kind) -> Iterator[Verdict]:
 
 
 def _spoiled(sample: Sample, values: FloatArray, levels: FloatArray) -> Iterator[Verdict]:
-    """Find saturation, few grey levels and lossy compression, whatever the values mean."""
+    """Find saturation, few grey levels and lossy compression, for any kind of values."""
     top = float(levels[-1])
     share = float((values == top).mean())
     if share > SATURATED and levels.size > 2:
@@ -274,7 +278,7 @@ def _spoiled(sample: Sample, values: FloatArray, levels: FloatArray) -> Iterator
             "contrast; export it with less gain"
         )
     middle = speckle_of(sample).mean / float(np.diff(levels).min())
-    # of numbers about zero the mean says nothing
+    # for values about zero the mean is meaningless
     if levels.size < FEW_LEVELS or (levels[0] >= 0 and middle < FEW_STEPS):
         yield Verdict(
             f"has few grey levels ({levels.size} different values): contrast of dark floor is lost "
@@ -295,14 +299,14 @@ def _negative(sample: Sample, values: FloatArray, kind: Kind) -> Verdict | None:
     if _fitting(sample, "db"):
         return Verdict(f"{told}: they look like decibels; try amplitude: db", refused=True)
     return Verdict(
-        f"{told}: expected decibels (amplitude: db) or numbers from 0 up; declare what stands for "
-        "no data as nodata, and undo what was subtracted",
+        f"{told}: expected decibels (amplitude: db) or values from 0 up; declare the value for "
+        "no data as nodata, and undo any subtraction",
         refused=True,
     )
 
 
 def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
-    """Find contrast and skewness that speckle of the given kind cannot have."""
+    """Find contrast and skewness that are impossible for speckle of the stated kind."""
     raw = speckle_of(sample, 0.0 if kind == "db" else FEWEST_STEPS * step)
     told = speckle_of([np.asarray(to_linear(p, kind)) for p in sample]) if kind != "linear" else raw
     if not told.enough:
@@ -321,7 +325,7 @@ def _contradiction(sample: Sample, kind: Kind, step: float) -> Verdict | None:
 
 
 def _unlike_decibels(raw: Speckle) -> Verdict | None:
-    """Refuse values that are no decibels of anything."""
+    """Refuse values that cannot be decibels."""
     if not raw.enough:
         return None
     return Verdict(
@@ -362,21 +366,21 @@ def _fitting(sample: Sample, kind: Kind) -> bool:
 
 
 def _cause(raw: Speckle, told: Speckle, kind: Kind) -> str:
-    """Say what may have been done to the values, and what to do."""
+    """Name the likely processing of the values, and what to do."""
     if raw.skewness < LOGARITHMIC:
         return (
-            "they look like decibels of another scale, as for display; export linear amplitude, or "
+            "they look like decibels rescaled for display; export linear amplitude, or "
             "dB for amplitude: db"
         )
     if told.averaged_intensity and kind == "linear":
         return "they look like averaged intensity; try amplitude: intensity"
     if told.too_much:
         return (
-            "its contrast is too high, as that of intensity (amplitude: intensity) or after "
+            "its contrast is too high, as for intensity (amplitude: intensity) or after "
             "stretching for display; export linear amplitude"
         )
     return (
-        "its contrast is too low, as if it were averaged, interpolated or scaled for display "
+        "its contrast is too low, as after averaging, interpolation or scaling for display "
         "(gamma, log, equalised): A_H will be too small; export linear amplitude at full resolution"
     )
 
@@ -385,25 +389,26 @@ def _name(kind: Kind) -> str:
     return {"linear": "linear amplitude", "intensity": "intensity", "db": "decibels"}[kind]
 
 
-# JPEG: coefficients of 8 x 8 blocks are multiples of a step, most of them zero. Ratio of those that
-# are zero at the blocks' own offset to those at others (speckle at most 2, quality 95 at least 6),
-# and how many standard deviations of the count that must be (at most 10, at least 46).
+# JPEG: coefficients of 8 x 8 blocks are multiples of a step, most of them zero. Ratio of the count
+# of zeros at the blocks' own offset to that at others (speckle at most 2, quality 95 at least 6),
+# and its significance in standard deviations (speckle at most 10, JPEG at least 46).
 JPEG_SIDE, JPEG_RATIO, JPEG_SIGMAS = 8, 3.5, 20.0
-# Coefficients nearer to zero than rounding to whole grey levels makes them (sd 0.29), and spread
-# that they need beside it to tell.
+# Coefficients that count as zero (rounding to whole grey levels has sd 0.29), and least spread of a
+# block, well above that.
 JPEG_ZERO, JPEG_SPREAD = 0.5, 4.0
-# Pixels of a piece that are looked at, the least that tell, and pieces at most.
+# Most pixels a side of a piece that is examined, fewest for a judgement, and most pieces: bound the
+# time.
 JPEG_MOST, JPEG_LEAST, JPEG_PIECES = 136, 40, 6
 
 
 def _jpeg_blocks(piece: FloatArray) -> bool:
-    """Whether a piece shows JPEG's quantised cosine coefficients, at any offset."""
+    """Whether a piece has JPEG's quantised cosine coefficients, at any offset."""
     part = np.nan_to_num(piece[:JPEG_MOST, :JPEG_MOST], nan=0.0)
     whole = (part == np.rint(part)).all()
     if min(part.shape) < JPEG_LEAST or part.std() < JPEG_SPREAD or not whole:
         return False
     scores = [_zeros(part[i:, j:]) for i in range(JPEG_SIDE) for j in range(JPEG_SIDE)]
-    # only one offset has the blocks; a floor with few grey values raises all alike
+    # only one offset fits the blocks; few grey levels raise the count at all offsets
     best, usual = max(scores), float(np.median(scores))
     return best > JPEG_RATIO * usual and best - usual > JPEG_SIGMAS * np.sqrt(usual + 1.0)
 

@@ -1,4 +1,4 @@
-"""Which bands a tile has: one of amplitudes, perhaps with alpha, or three of the same grey."""
+"""Checks of a tile's bands: one of amplitudes, optionally with alpha, or three of the same grey."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from rasterio.enums import ColorInterp
 
 from sasmap.errors import InputError
 
-# Pixels a side, and windows along the tile's diagonal, in which colours are compared.
+# Pixels a side, and number, of the windows along the tile's diagonal in which colours are compared
+# (a choice: a sample is enough, as a colour image has colours nearly everywhere).
 SIDE, WINDOWS = 64, 9
 
 
 def check_bands(path: Path, source: rasterio.DatasetReader) -> None:
-    """Check that a tile's first band holds amplitudes, and that no other band says more.
+    """Check that a tile's first band holds amplitudes, and that other bands add nothing.
 
     Parameters
     ----------
@@ -27,7 +28,7 @@ def check_bands(path: Path, source: rasterio.DatasetReader) -> None:
     Raises
     ------
     InputError
-        For complex pixels, palettes, colours, and bands that are none of amplitude, alpha, grey.
+        For complex pixels, palettes, colours, and bands other than amplitude, alpha or grey.
     """
     kind = source.dtypes[0]
     if np.dtype(kind).kind not in "uif":
@@ -46,12 +47,13 @@ def check_bands(path: Path, source: rasterio.DatasetReader) -> None:
     rgb = bands == [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
     if not rgb:
         raise InputError(
-            f"{path}: expected a single amplitude band, got {source.count} bands; take the right "
+            f"{path}: expected a single amplitude band, got {source.count} bands; extract the "
+            "right "
             f"one, for example gdal_translate -b 1 {path.name} amplitude.tif"
         )
     if not _grey(path, source):
         raise InputError(
-            f"{path}: a picture in colours: expected a single band of amplitudes, or the same grey "
+            f"{path}: a colour image: expected a single band of amplitudes, or the same grey "
             "in red, green and blue; export the data, not the picture"
         )
 
@@ -66,7 +68,7 @@ def _grey_palette(source: rasterio.DatasetReader) -> bool:
 
 
 def _grey(path: Path, source: rasterio.DatasetReader) -> bool:
-    """Whether red, green and blue are alike, along the tile's diagonal."""
+    """Whether red, green and blue are equal, along the tile's diagonal."""
     for k in range(WINDOWS):
         row = k * max(source.height - SIDE, 0) // (WINDOWS - 1)
         column = k * max(source.width - SIDE, 0) // (WINDOWS - 1)

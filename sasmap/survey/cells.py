@@ -1,4 +1,4 @@
-"""The grid of windows that every pass of a survey shares."""
+"""The cell grid, common to all passes of a survey."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from sasmap.errors import InputError
 from sasmap.survey.lattice import FloatArray
 from sasmap.survey.tiles import Tile
 
-# Largest scale error of a map projection: heights and wavelengths are wrong by as much. A UTM zone
+# Largest scale error of a map projection, which is also that of heights and wavelengths. A UTM zone
 # and its neighbours stay below 1.3 %, Web Mercator exceeds 2 % beyond 12 degrees of latitude.
 MAX_STRETCH = 0.02
-# Cells beyond which the plan alone takes minutes: 4 million of 12.5 m cover a square of 25 km.
+# Number of cells beyond which the plan alone takes minutes: 4 million of 12.5 m cover 25 km x 25
+# km.
 MAX_CELLS = 4_000_000
 
 
@@ -43,7 +44,7 @@ class CellGrid:
         Side of a cell, m.
     rows, columns : int
     spacing : float
-        From cell to cell, m; cells overlap where it is less than their size.
+        From cell to cell, m; cells overlap where it is smaller than their size.
     """
 
     crs: str
@@ -56,13 +57,13 @@ class CellGrid:
 
     @property
     def transform(self) -> Affine:
-        """Affine of rasters with a pixel a cell, about its centre and as large as the spacing."""
+        """Affine of rasters with one pixel per cell, centred on it and as large as the spacing."""
         margin = 0.5 * (self.size - self.spacing)
         place = self.left + margin, self.top - margin
         return Affine(self.spacing, 0.0, place[0], 0.0, -self.spacing, place[1])
 
     def pixels(self, window: int) -> Affine:
-        """Affine of rasters with `window` by `window` pixels a cell, of cells side by side."""
+        """Affine of rasters with `window` by `window` pixels per cell, of cells side by side."""
         step = self.size / window
         return Affine(step, 0.0, self.left, 0.0, -step, self.top)
 
@@ -89,7 +90,7 @@ class CellGrid:
                 yield Cell(row, column)
 
     def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
-        """Whether map points lie in a cell; each lies in exactly one of cells side by side."""
+        """Whether map points lie in a cell; of cells side by side, each lies in exactly one."""
         right, down = (x - self.left) / self.spacing + 1e-9, (self.top - y) / self.spacing + 1e-9
         reach = self.size / self.spacing
         across = (right >= cell.column) & (right < cell.column + reach)
@@ -97,9 +98,9 @@ class CellGrid:
         return inside
 
     def overlapping(self, spacing: float) -> CellGrid:
-        """Lay cells of the same size over the same floor at another spacing, m.
+        """Lay out cells of the same size over the same area at another spacing, m.
 
-        The last ones reach its end; those beyond would show nothing new.
+        The last cells reach its end; further ones would add nothing.
         """
         rows, columns = (
             1 + max(int(np.ceil((n - 1) * self.size / spacing - 1e-6)), 0)
@@ -109,12 +110,12 @@ class CellGrid:
 
 
 def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
-    """Lay the cell grid over all tiles of a survey.
+    """Lay out the cell grid over all tiles of a survey.
 
     Parameters
     ----------
     tiles : list of Tile
-        All passes' tiles; the first one's pixel size makes the cells.
+        Tiles of all passes; the first one's pixel size defines the cells.
     crs : str
         CRS of the grid, WKT.
     window : int
@@ -127,18 +128,18 @@ def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
     Raises
     ------
     InputError
-        Where a tile cannot be brought into the CRS.
+        Where a tile cannot be transformed to the CRS.
     """
     edges = []
     for tile in tiles:
         x, y = tile.outline_in(crs)
         if not np.all(np.isfinite(x) & np.isfinite(y)):
-            raise InputError(f"{tile.path}: lies outside what the survey's CRS can hold")
+            raise InputError(f"{tile.path}: lies outside the domain of the survey's CRS")
         edges.append((x.min(), x.max(), y.min(), y.max()))
     west, east, south, north = np.array(edges).T
     left, right, bottom, top = west.min(), east.max(), south.min(), north.max()
     size = window * tiles[0].pixel_size
-    # a sliver of under a thousandth of a pixel is rounding, not a cell
+    # less than a thousandth of a pixel is rounding, not a cell
     slack = 1e-3 / window
     columns = max(1, int(np.ceil((right - left) / size - slack)))
     rows = max(1, int(np.ceil((top - bottom) / size - slack)))
@@ -169,13 +170,13 @@ def check_count(grid: CellGrid, where: str) -> None:
 
 
 def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
-    """Refuse a product CRS in which distances on the map are not metres on the ground.
+    """Refuse a product CRS whose map distances are not metres on the ground.
 
     Parameters
     ----------
     crs : pyproj.CRS
     where : str
-        File and key that chose it, for the message.
+        File and key that set it, for the message.
     x, y : float
         A point of the survey in that CRS.
 
@@ -192,7 +193,7 @@ def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
         raise InputError(f"{where}: CRS {crs.name!r} is in {crs.axis_info[0].unit_name}: {advice}")
     longitude, latitude = pyproj.Proj(crs)(x, y, inverse=True)
     if not (np.isfinite(longitude) and np.isfinite(latitude)):
-        raise InputError(f"{where}: the tiles lie outside what CRS {crs.name!r} can hold: {advice}")
+        raise InputError(f"{where}: the tiles lie outside the domain of CRS {crs.name!r}: {advice}")
     factors = pyproj.Proj(crs).get_factors(longitude, latitude)
     stretch = max(abs(factors.meridional_scale - 1), abs(factors.parallel_scale - 1))
     if not stretch < MAX_STRETCH:

@@ -1,6 +1,6 @@
-"""What a tile holds: fill that is not declared as nodata, and whether its values can be amplitude.
+"""Checks of a tile's contents: undeclared fill, and values that cannot be amplitude.
 
-The tile is read once from end to end for its fill, and a sample of it for its values.
+The whole tile is read once for its fill, and a sample of windows for its values.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from sasmap.survey.lattice import FloatArray, Window
 from sasmap.survey.sidecars import unread
 from sasmap.survey.tiles import Tile, open_geotiff, read_numbers
 
-# Pixels a side of the windows from which values are judged, and windows a side of the tile.
+# Pixels a side of the windows whose values are judged, and windows a side of the tile: 36 windows
+# give over 2000 blocks.
 SIDE, WINDOWS = 128, 6
-# Largest error of compression, of the median, that is lost in speckle: it spreads evenly over twice
-# its size, which adds under 1 % to speckle's variance.
+# Largest harmless error of a compression, over the median: uniform over twice its size, it adds
+# under 1 % to the variance of speckle.
 LARGEST_LOSS = 0.05
 
 
@@ -41,24 +42,24 @@ def look_into(tile: Tile) -> tuple[Tile, list[str], list[str]]:
     warnings = list(unread(tile.path, tile.lattice.transform))
     faults: list[str] = []
     try:
-        # the whole tile is read: its blocks are decoded by all cores
+        # the whole tile is read: its blocks are decoded on all cores
         with open_geotiff(tile.path, GDAL_NUM_THREADS="ALL_CPUS") as source:
             fill, border = find_fill(source, tile.kind)
             tile = replace(tile, fill=fill)
             lossy, largest = _loss(source)
     except rasterio.errors.RasterioError:
-        return tile, warnings, faults  # what cannot be decoded fails its cells, and says so there
+        return tile, warnings, faults  # undecodable blocks fail their cells, and are reported there
     for area in tile.fill:
         share = area.area / (tile.window.height * tile.window.width)
         warnings.append(
-            f"{tile.path}: {share:.0%} of it, at its edge, is exactly {area.value:g} and no nodata "
-            f"or mask says so: treated as not seen; declare it, for example "
+            f"{tile.path}: {share:.0%} of it, at its edge, is exactly {area.value:g}: no nodata "
+            f"value or mask covers it: treated as no data; declare it, for example "
             f"gdal_edit.py -a_nodata {area.value:g} {tile.path.name}"
         )
     if border:
         warnings.append(
-            f"{tile.path}: {border}, unlike shadow or water: fill that was compressed or "
-            f"resampled counts as sea floor; set it to nodata, for example nearblack -nb 0 "
+            f"{tile.path}: {border}, unlike shadow or water: compressed or resampled fill "
+            f"counts as sea floor; set it to nodata, for example nearblack -nb 0 "
             f"-near 10 -o clean.tif {tile.path.name} and gdal_edit.py -a_nodata 0 clean.tif"
         )
     sample = list(_sample(tile))
@@ -88,7 +89,7 @@ def _typical(sample: list[FloatArray]) -> float:
 
 
 def _sample(tile: Tile) -> Iterator[FloatArray]:
-    """Read windows all over a tile, row by row so that strips are decoded once."""
+    """Read windows spread over a tile, row by row so that strips are decoded once."""
     for window in sample_windows(tile.window):
         try:
             yield np.asarray(read_numbers(tile, window), float)
@@ -97,7 +98,7 @@ def _sample(tile: Tile) -> Iterator[FloatArray]:
 
 
 def sample_windows(whole: Window) -> Iterator[Window]:
-    """Spread windows over a tile; they cover all of a small one.
+    """Spread windows over a tile; they cover a small tile completely.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Display scaling (gamma near 1) that leaves a contrast which honest speckle could have too.
+"""Detection of display scaling (gamma near 1) whose contrast is still possible for speckle.
 
 A power of the amplitude stretches its logarithm and keeps the shape of the logarithm's
 distribution. Texture (K distribution) widens the logarithm as well, but makes it less skewed, and
-structure within a block widens large blocks more than small ones. Quantiles are used, not
-cumulants (Nicolas, Traitement du Signal 19:139, 2002, gives those), because rounding to whole grey
-levels spoils the low tail.
+structure within a block widens large blocks more than small ones. Quantiles are used instead of
+cumulants (Nicolas, Traitement du Signal 19:139, 2002), because rounding to whole grey levels
+distorts the low tail.
 """
 
 from __future__ import annotations
@@ -16,39 +16,40 @@ from numpy.typing import NDArray
 
 from sasmap.survey.lattice import FloatArray
 
-# Pixels a side of large and small blocks, and the share of the blocks, those of least width, that
-# are looked at: in them structure of the sea floor is least.
+# Pixels a side of large and small blocks, and the share of the blocks, the narrowest ones, that are
+# used: they have the least structure of the sea floor.
 LARGE, SMALL, SHARE = 16, 8, 0.25
-# Quantiles of log amplitude that give its width and skewness.
+# Quantiles of log amplitude that define its width and skewness (a choice: robust to rounding).
 QUANTILES = (0.1, 0.5, 0.9)
-# Width of the large blocks of Rayleigh speckle, by simulation of 961 blocks.
+# Width in large blocks of Rayleigh speckle, from a simulation of 961 blocks.
 RAYLEIGH_WIDTH = 1.419
-# Grey levels that a block's mean must have: below, rounding decides on the tenth percentile.
+# Least mean of a block in grey levels: below, rounding determines the tenth percentile.
 FEWEST_STEPS = 8.0
-# Large blocks below which the skewness strays by more than the limits are apart (0.01 at 200).
+# Fewest large blocks: the scatter of the skewness of fewer exceeds the margin of the limits (0.01
+# at 200).
 FEWEST_BLOCKS = 200
 # Limits from 60 simulated ripple fields (wavelengths of 12 to 140 pixels, slopes of 0.02 to 0.35,
 # K shapes of 1.5 and more, three noise levels), each as it is and with gamma 1.2. As they are, the
 # width is under 1.62 or the skewness above -0.16, or shadows give a skewness under -0.23 or a ratio
 # of widths under 0.86. With gamma 1.2 on speckle without texture: 1.75, -0.19 and 0.91.
 WIDTH, SKEWNESS, RATIO = 1.63, (-0.225, -0.165), 0.88
-# Below this width, with a skewness above this, amplitude was compressed or averaged. Speckle that
-# is correlated over two or three pixels is as narrow (1.35 to 1.32), at a skewness of -0.19 to
-# -0.23; gamma 0.85 on two rippled scenes gives 1.30 and 1.32 at -0.17.
+# Below this width and above this skewness, amplitude was compressed or averaged. Speckle correlated
+# over two or three pixels is as narrow (1.35 to 1.32), at a skewness of -0.19 to -0.23; gamma 0.85
+# on two rippled scenes gives 1.30 and 1.32 at -0.17.
 NARROW, NARROW_SKEWNESS = 1.335, -0.185
 
 
 class LogShape(NamedTuple):
-    """Shape of log amplitude in the blocks of least width.
+    """Shape of log amplitude in the narrowest blocks.
 
     Attributes
     ----------
     blocks : int
-        Blocks that were compared, before the narrowest were taken.
+        Number of blocks, before the narrowest were chosen.
     width : float
         From the first to the last quantile.
     skewness : float
-        Of the quantiles, -1 to 1 (Bowley's).
+        Bowley's, from the quantiles, -1 to 1.
     """
 
     blocks: int
@@ -57,7 +58,7 @@ class LogShape(NamedTuple):
 
 
 def found_gamma(sample: list[FloatArray], step: float) -> float | None:
-    """Estimate the gamma of display scaling where speckle tells it.
+    """Estimate the gamma of display scaling from speckle.
 
     Parameters
     ----------
@@ -69,8 +70,8 @@ def found_gamma(sample: list[FloatArray], step: float) -> float | None:
     Returns
     -------
     float or None
-        Gamma, about; None where the numbers can be amplitude, or are too few or coarse to tell.
-        Between about 0.9 and 1.13 it cannot be told from correlation or texture.
+        Approximate gamma; None where the values can be amplitude, or are too few or too coarse.
+        Between about 0.9 and 1.13 it cannot be separated from correlation or texture.
     """
     large = log_shape(sample, LARGE, step)
     if large.blocks < FEWEST_BLOCKS:
@@ -85,7 +86,7 @@ def found_gamma(sample: list[FloatArray], step: float) -> float | None:
 
 
 def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
-    """Take the shape of log amplitude from the blocks of a sample.
+    """Compute the shape of log amplitude from the blocks of a sample.
 
     Parameters
     ----------
@@ -93,14 +94,14 @@ def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
     side : int
         Pixels a side of a block.
     step : float
-        Smallest difference between two values; rounding to it is spread evenly.
+        Smallest difference between two values; rounding to it is dithered.
     """
     parts = [_blocks(piece, side, step) for piece in sample]
     blocks = np.concatenate(parts) if parts else np.empty((0, side**2))
     if not blocks.size:
         return LogShape(0, np.nan, np.nan)
-    # rounded numbers have ties, which move quantiles: an even offset within the step, the same for
-    # every block, takes them apart
+    # rounded values have ties, which move quantiles: a dither within the step, the same for every
+    # block, separates them
     spread = (np.arange(side**2) * 0.6180339887498949) % 1.0 - 0.5  # golden ratio: evenly spread
     blocks = np.log(np.maximum(blocks + step * spread, 0.25 * step))
     blocks -= np.median(blocks, axis=1, keepdims=True)
@@ -113,7 +114,7 @@ def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
 
 
 def _blocks(piece: FloatArray, side: int, step: float) -> NDArray[np.float64]:
-    """Cut a piece into blocks, a row each; those that are dark or have gaps are left out."""
+    """Cut a piece into blocks, one row each; dark blocks and those with gaps are left out."""
     rows, columns = (n // side for n in piece.shape)
     cut = piece[: rows * side, : columns * side].reshape(rows, side, columns, side)
     blocks = cut.transpose(0, 2, 1, 3).reshape(-1, side**2)

@@ -1,8 +1,8 @@
-"""Fill that is not declared as nodata: large areas at a tile's edge, of one value or nearly black.
+"""Undeclared fill: large areas at a tile's edge, of one value or nearly black.
 
-Areas of exactly one value are fill. Nearly black ones, as JPEG or resampling leave of fill, can be
-shadow or water as well, whose noise has the skewness of speckle (0.63): they are named only where
-their numbers are distributed otherwise.
+Areas of exactly one value are fill. Nearly black ones, which JPEG or resampling make of fill, can
+also be shadow or water, whose noise has the skewness of speckle (0.63): they are reported only
+where their values are distributed differently.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from numpy.typing import NDArray
 
 from sasmap.survey.lattice import Window
 
-# Pixels a side of the blocks that are of one value or not: narrow enough for a thin frame.
+# Pixels a side of the blocks that are tested for one value: small enough for a thin frame.
 BLOCK = 4
-# Pixels of each block that are compared: corners and two inside. Speckle makes all of them alike in
-# one block of a million, and such blocks do not join.
+# Pixels of each block that are compared: corners and two inside. In speckle all of them are equal
+# in one block of a million, and such blocks are not adjacent.
 PROBES = ((0, 0), (0, 3), (3, 0), (3, 3), (1, 2), (2, 1))
 # Least area, pixels, and how far along the tile's edge it must reach, pixels or a fraction of the
-# edge. A shadow of exactly zero that meets the edge reaches less: ripples that fit into a cell
-# three and a half times have shadows of under 70 pixels in a cell of 500.
+# edge. A shadow of exactly zero that meets the edge is smaller: ripples that fit into a cell of 500
+# pixels three and a half times have shadows of under 70 pixels.
 LEAST_AREA, LEAST_CONTACT, LEAST_FRACTION = 1024, 96, 0.125
-# Values that are tried, those with most edge first.
+# Most values that are tried, those with the longest edge first: tiles have one or two fill values.
 MOST_VALUES = 4
-# Nearly black: all probes of a block under this share of the usual largest one. Speckle does that
-# in one block of ten millions.
+# Nearly black: all probes of a block are below this share of the usual largest one. Speckle does
+# that in one block of ten million.
 BLACK = 0.2
-# Windows a side, and their pixels a side, from which the usual one is taken.
+# Windows a side, and their pixels a side, from which the usual largest probe is estimated.
 WINDOWS, SIDE = 3, 64
 # Skewness of the noise in shadow and water: Rayleigh's 0.63, rounded to whole grey levels.
 NOISE_SKEWNESS = (0.3, 0.9)
-# How much deeper than shadows within the tile are wide (the width that this share of their blocks
-# does not exceed) fill at its edge must be.
+# Least depth of fill at the edge over the width of shadows within the tile, and the quantile of
+# that width over blocks.
 DEEPER, WIDEST = 1.5, 0.9
-# Blocks from the edge in which distributions are taken.
+# Depth, in blocks from the edge, over which the distribution of values is computed.
 RIM = 8
-# Bytes that are read at once.
+# Bytes read at once: bounds memory.
 READ_BYTES = 2**26
 
 
@@ -57,9 +57,9 @@ class Fill:
     rows, columns : int
         Blocks.
     packed : bytes
-        A bit a block: fill, or beside fill.
+        One bit per block: fill, or adjacent to fill.
     area : int
-        Pixels, about.
+        Approximate number of pixels.
     """
 
     value: float
@@ -79,31 +79,31 @@ class Fill:
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """What the probes of a tile's blocks hold; each (rows, columns)."""
+    """Probes of a tile's blocks; each (rows, columns)."""
 
     value: NDArray[np.float64]  # the first probe's
-    alike: NDArray[np.bool_]  # whether all are that
+    alike: NDArray[np.bool_]  # whether all are equal to it
     top: NDArray[np.float32]  # the largest valid one; NaN where none is valid
 
 
 def find_fill(
     source: rasterio.DatasetReader, kind: Literal["linear", "intensity", "db"]
 ) -> tuple[tuple[Fill, ...], str]:
-    """Find a tile's fill; blocks that cannot be decoded are none.
+    """Find a tile's fill; undecodable blocks do not count.
 
     Parameters
     ----------
     source : DatasetReader
-        Its nodata value and masks are not fill: they are told already.
+        Its nodata value and masks are not fill: they are declared.
     kind : {"linear", "intensity", "db"}
-        What its numbers are; of decibels none are known to be black.
+        Kind of its values; the level of black is unknown for decibels.
 
     Returns
     -------
     fill : tuple of Fill
         One for each value.
     border : str
-        What is nearly black at the edge and looks like fill; empty without it.
+        Description of a nearly black edge that looks like fill; empty without one.
     """
     limit = _black(source, kind)
     if not _edge_odd(source, limit):
@@ -125,7 +125,7 @@ def find_fill(
 
 
 def _black(source: rasterio.DatasetReader, kind: str) -> float:
-    """Largest number that is nearly black; below all numbers where none is known to be."""
+    """Largest value that is nearly black; below all values where that is unknown."""
     if kind == "db":
         return -np.inf
     tops = []
@@ -150,7 +150,7 @@ def _black(source: rasterio.DatasetReader, kind: str) -> float:
 def _black_border(
     blocks: _Blocks, known: NDArray[np.bool_], limit: float, shape: tuple[int, int]
 ) -> str:
-    """Say which share of a tile is nearly black at its edge and is no shadow or water."""
+    """Describe the share of a tile that is nearly black at its edge, not shadow or water."""
     dark = (blocks.top >= 0) & (blocks.top <= limit) & ~known
     area = _at_edge(dark, shape)
     if area is None or not (rim := _rim(area, dark, shape)).any():
@@ -170,9 +170,9 @@ def _black_border(
 def _rim(
     area: NDArray[np.bool_], dark: NDArray[np.bool_], shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Blocks of an area next to where it meets the tile's edge without a gap, deeper than shadows.
+    """Blocks of an area along the tile's edge, where it is deeper than shadows.
 
-    Shadows that run into the edge meet it each over a short way; one that lies along the edge is no
+    Shadows that cross the edge meet it over a short length each; a shadow along the edge is no
     deeper than those within the tile are wide.
     """
     rim = np.zeros_like(area)
@@ -189,8 +189,8 @@ def _rim(
 
 
 def _usual_width(dark: NDArray[np.bool_]) -> float:
-    """How many dark blocks follow each other down the columns, where they begin within the tile."""
-    # a bright row between columns parts their runs
+    """Length of the usual run of dark blocks down the columns, among runs that begin within."""
+    # a bright row between columns separates their runs
     column = np.zeros((dark.shape[1], dark.shape[0] + 1), np.int8)
     column[:, :-1] = dark.T
     first, last = np.flatnonzero(np.diff(column.ravel(), prepend=0, append=0)).reshape(-1, 2).T
@@ -198,14 +198,14 @@ def _usual_width(dark: NDArray[np.bool_]) -> float:
     runs = np.sort((last - first)[inside])
     if not runs.size:
         return 0.0
-    # the width that most dark blocks have: single ones are many, and are no shadow
+    # weighted by blocks: single dark blocks are frequent, but not shadow
     return float(runs[np.searchsorted(np.cumsum(runs), WIDEST * runs.sum())])
 
 
 def _edge_odd(source: rasterio.DatasetReader, limit: float) -> bool:
-    """Whether there can be fill: a quick look at the edge of a file that lies in tiles.
+    """Whether there can be fill: a quick check of the edge of a tiled file.
 
-    One that lies in strips has to be read whole for its sides.
+    A file in strips would have to be read completely for its sides.
     """
     if source.block_shapes[0][1] >= source.width:
         return True
@@ -245,7 +245,7 @@ def _block_map(source: rasterio.DatasetReader) -> _Blocks:
 
 def _read_blocks(source: rasterio.DatasetReader, window: rasterio.windows.Window) -> _Blocks:
     """Read a window and probe its blocks."""
-    # all_valid is told by every file without a mask, and nodata is compared by value
+    # every file without a mask has all_valid, and nodata is compared by value
     flags = source.mask_flag_enums[0]
     masked = not {rasterio.enums.MaskFlags.all_valid, rasterio.enums.MaskFlags.nodata} & set(flags)
     raw = source.read(1, window=window)
@@ -289,7 +289,7 @@ def _probed(
 
 
 def _edge_values(value: NDArray[np.float64], alike: NDArray[np.bool_]) -> list[float]:
-    """Values of the alike blocks along the edge, the most frequent first."""
+    """Values of the uniform blocks along the edge, the most frequent first."""
     edges = ((value[0], alike[0]), (value[-1], alike[-1]), (value[:, 0], alike[:, 0]),
              (value[:, -1], alike[:, -1]))  # fmt: skip
     along = np.concatenate([values[same] for values, same in edges])
@@ -299,7 +299,7 @@ def _edge_values(value: NDArray[np.float64], alike: NDArray[np.bool_]) -> list[f
 
 
 def _at_edge(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_] | None:
-    """Blocks of the areas that are large and reach far along the edge; None without one."""
+    """Blocks of areas that are large and extend far along the edge; None without one."""
     label, count = scipy.ndimage.label(blocks)
     if not count:
         return None

@@ -1,4 +1,4 @@
-"""Comparison of the gains of a pass's tiles where they overlap or meet: they must be equal."""
+"""Check that the tiles of a pass have equal gains where they overlap or meet."""
 
 from __future__ import annotations
 
@@ -10,36 +10,37 @@ import shapely
 
 from sasmap.numerics.threads import mapped
 from sasmap.survey.lattice import FloatArray, Window, bounding_window
-from sasmap.survey.tiles import Amplitude, Tile, gather
+from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 
-# Decibels by which the same sea floor may differ, and sea floor on either side of a seam, which is
-# not the same.
+# Largest difference, dB, between overlapping tiles, and between the two sides of a seam, which are
+# not the same sea floor (choices: 1 dB of gain is 12 % of amplitude).
 OVERLAP_DB, SEAM_DB = 1.0, 3.0
-# Standard errors of the mean of speckle that a difference must exceed; pixels count as a quarter,
-# being correlated over two in each direction.
+# Least significance of a difference, in standard errors of the mean of speckle, and independent
+# samples per pixel (speckle correlated over two pixels in each direction).
 ERRORS, INDEPENDENT = 4.0, 0.25
-# Decibels a unit of relative change of intensity.
+# Decibels per unit of relative change of intensity.
 DB = 10.0 / np.log(10.0)
-# Pixels a side of the pieces that are compared, of strips along a seam, and least pixels.
+# Pixels a side of the compared pieces, width of strips along a seam, and fewest pixels (400
+# give a gain to 0.4 dB).
 SIDE, STRIP, LEAST = 192, 24, 400
-# Pairs of tiles that are compared, at most: a file is opened twice for each.
+# Most pairs of tiles that are compared: bounds the time, as each opens a file twice.
 MOST_PAIRS = 3000
 
 
 def compare_gains(tiles: tuple[Tile, ...], crs: str) -> list[str]:
-    """Name tiles of a pass whose gain differs from a neighbour's.
+    """Report tiles of a pass whose gain differs from a neighbour's.
 
     Parameters
     ----------
     tiles : tuple of Tile
-        Seen by one line.
+        Of one survey line.
     crs : str
         The survey's.
 
     Returns
     -------
     list of str
-        A line for each tile that differs.
+        One line per tile that differs.
     """
     pairs = list(_neighbours(tiles, crs))[:MOST_PAIRS]
     told: dict[Tile, str] = {}
@@ -65,7 +66,7 @@ def _neighbours(tiles: tuple[Tile, ...], crs: str) -> Iterator[tuple[Tile, Tile]
 
 
 def _compare(pair: tuple[Tile, Tile]) -> str | None:
-    """Say how a tile's gain differs from another's, if it does."""
+    """Describe how a tile's gain differs from another's, if it does."""
     first, second = pair
     try:
         difference, limit, where = _overlapping(first, second) or _meeting(first, second)
@@ -76,15 +77,15 @@ def _compare(pair: tuple[Tile, Tile]) -> str | None:
     word = "brighter" if difference > 0 else "darker"
     return (
         f"{second.path}: {abs(difference):.1f} dB {word} than {first.path.name} where they "
-        f"{where}: expected tiles of one gain in a pass; give each gain its own pass, or scale "
-        "them alike"
+        f"{where}: expected one gain in a pass; give each gain its own pass, or scale "
+        "the tiles alike"
     )
 
 
 def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:
-    """Difference over the pixels that both show, and the most it may be."""
+    """Difference over the pixels that both show, and its limit."""
     for part in _pieces(_box(first, second, 0).intersect(first.window)):
-        a, b = (gather((tile,), first.lattice, part) for tile in (first, second))
+        a, b = (read_mosaic((tile,), first.lattice, part) for tile in (first, second))
         both = np.isfinite(a) & np.isfinite(b)
         if both.sum() >= LEAST:
             return _difference(a[both], b[both], OVERLAP_DB, "overlap")
@@ -97,7 +98,7 @@ def _meeting(first: Tile, second: Tile) -> tuple[float, float, str]:
     other = _box(second, first, STRIP).intersect(second.window)
     parts: list[FloatArray] = []
     for tile, box in ((first, one), (second, other)):
-        values = [gather((tile,), tile.lattice, part) for part in _pieces(box)]
+        values = [read_mosaic((tile,), tile.lattice, part) for part in _pieces(box)]
         known = [np.asarray(v[np.isfinite(v)], float) for v in values]
         parts.append(np.concatenate(known) if known else np.empty(0))
     if min(part.size for part in parts) < LEAST:
@@ -106,7 +107,7 @@ def _meeting(first: Tile, second: Tile) -> tuple[float, float, str]:
 
 
 def _difference(a: Amplitude, b: Amplitude, limit: float, where: str) -> tuple[float, float, str]:
-    """Mean intensity of `b` over that of `a`, dB, and the most it may be."""
+    """Mean intensity of `b` over that of `a`, dB, and the limit of its absolute value."""
     means = [float(np.mean(np.square(v, dtype=float))) for v in (a, b)]
     if min(means) <= 0:
         return 0.0, limit, where
@@ -115,7 +116,7 @@ def _difference(a: Amplitude, b: Amplitude, limit: float, where: str) -> tuple[f
 
 
 def _box(tile: Tile, other: Tile, margin: int) -> Window:
-    """Where another tile lies in a tile's pixels, with a margin."""
+    """Box of another tile in a tile's pixels, with a margin."""
     row, column = tile.lattice.pixel_of(*other.outline_in(tile.lattice.crs))
     box = bounding_window(row, column)
     return Window(

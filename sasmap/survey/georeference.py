@@ -1,4 +1,4 @@
-"""What a GeoTIFF says of its place: the CRS, or a sentence and remedy for what it says instead."""
+"""Check of a GeoTIFF's georeference: its CRS, or a message with a remedy."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def checked_crs(path: Path, source: rasterio.DatasetReader, geographic: bool) ->
     path : Path
     source : DatasetReader
     geographic : bool
-        Whether geographic tiles are accepted, the survey file having the products' CRS.
+        Whether geographic tiles are accepted because the survey file sets the products' CRS.
 
     Raises
     ------
     InputError
-        Where the tile cannot be placed; says why and what to do.
+        Where the tile's georeference cannot be used; says why and what to do.
     """
     if source.gcps[0]:
         raise InputError(_control_points(path, source))
@@ -40,7 +40,7 @@ def checked_crs(path: Path, source: rasterio.DatasetReader, geographic: bool) ->
     if crs.is_geographic and not geographic:
         raise InputError(
             f"{path}: geographic CRS {crs.name!r}: set the products' CRS in the survey file, for "
-            f"example crs: {_utm_of(source)}, and its pixels are laid at their nearest place"
+            f"example crs: {_utm_of(source)}; its pixels are then moved to their nearest place"
         )
     return str(crs.to_wkt())
 
@@ -50,10 +50,10 @@ def _no_crs(path: Path) -> str:
     files = [file.name for file in beside(path, (*WORLD_FILES, ".aux.xml", ".prj"))]
     if files:
         return (
-            f"{start}; {' and '.join(files)} beside it is not read: bake it in: gdal_translate "
+            f"{start}; {' and '.join(files)} beside it is not read: copy it in: gdal_translate "
             f"-a_srs EPSG:32617 {path.name} placed.tif (with its own CRS)"
         )
-    return f"{start}; set what it is in, for example gdal_edit.py -a_srs EPSG:32617 {path.name}"
+    return f"{start}; set the right one, for example gdal_edit.py -a_srs EPSG:32617 {path.name}"
 
 
 def _parsed(path: Path, source: rasterio.DatasetReader) -> pyproj.CRS:
@@ -65,7 +65,7 @@ def _parsed(path: Path, source: rasterio.DatasetReader) -> pyproj.CRS:
 
 
 def _check_kind(path: Path, crs: pyproj.CRS) -> None:
-    """Refuse CRS without a place of the pixels on the ellipsoid, or with heights."""
+    """Refuse a CRS that does not place pixels on the ellipsoid, or that has heights."""
     edit = f"gdal_edit.py -a_srs EPSG:32617 {path.name}"
     if crs.is_geocentric:
         raise InputError(
@@ -83,8 +83,8 @@ def _check_kind(path: Path, crs: pyproj.CRS) -> None:
         )
     if crs.is_engineering or not (crs.is_projected or crs.is_geographic):
         raise InputError(
-            f"{path}: local CRS {crs.name!r}, whose place on the Earth is not told: {PROJECTED}; "
-            f"if it is one, name it, for example {edit}; else fit it by control points: "
+            f"{path}: local CRS {crs.name!r} without a known place on the Earth: {PROJECTED}; "
+            f"if it is one, set it, for example {edit}; otherwise use control points: "
             f"gdal_translate -gcp ... and gdalwarp -r near -t_srs EPSG:32617"
         )
 
@@ -96,8 +96,8 @@ def _check_transform(path: Path, source: rasterio.DatasetReader) -> None:
     world = beside(path, WORLD_FILES)
     if world:
         raise InputError(
-            f"{path}: no georeference of its own, and {world[0].name} beside it is not read: bake "
-            f"it in: gdal_translate {path.name} placed.tif"
+            f"{path}: no georeference of its own, and {world[0].name} beside it is not read: write "
+            f"it into the tile: gdal_translate {path.name} placed.tif"
         )
     raise InputError(f"{path}: no georeference: expected a GeoTIFF with a pixel size and origin")
 
@@ -110,7 +110,7 @@ def _control_points(path: Path, source: rasterio.DatasetReader) -> str:
     elif crs is not None and crs.is_geographic:
         target = _zone(points[0].x, points[0].y)
     return (
-        f"{path}: placed by {len(points)} ground control points alone: expected a pixel size and "
+        f"{path}: has {len(points)} ground control points only: expected a pixel size and "
         f"origin; warp it: gdalwarp -r near -t_srs {target} {path.name} placed.tif"
     )
 
@@ -120,7 +120,7 @@ def _utm_of(source: rasterio.DatasetReader) -> str:
 
 
 def _zone(longitude: float, latitude: float) -> str:
-    """UTM zone of a place, or an example."""
+    """UTM zone of a point, or an example."""
     if not (-180 <= longitude <= 180 and -90 <= latitude <= 90):
         return "EPSG:32617"
     zone = min(int((longitude + 180) // 6) + 1, 60)

@@ -14,7 +14,8 @@ from sasmap.errors import InputError
 
 FloatArray = NDArray[np.float64]
 
-# Two lattices are one where their pixels coincide to this fraction of a pixel.
+# Two lattices are the same where their pixels coincide to this fraction of a pixel (far below any
+# error of georeferencing, far above rounding).
 COINCIDENT = 1e-4
 
 
@@ -41,7 +42,7 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True)
 class Lattice:
-    """Where pixel (row, column) lies: its upper-left corner is ``transform * (column, row)``.
+    """A pixel lattice; the upper-left corner of a pixel is ``transform * (column, row)``.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def transform_points(
     Returns
     -------
     x, y : ndarray
-        Infinity for points that the target CRS cannot hold.
+        Infinity for points outside the domain of the target CRS.
 
     Raises
     ------
@@ -115,7 +116,8 @@ def transform_points(
         moved_x, moved_y = transformer.transform(x, y)
     except pyproj.exceptions.ProjError:
         names = [pyproj.CRS.from_user_input(crs).name for crs in (source, target)]
-        raise InputError(f"no transformation leads from CRS {names[0]!r} to {names[1]!r}") from None
+        fault = f"no transformation is known from CRS {names[0]!r} to {names[1]!r}"
+        raise InputError(fault) from None
     return np.asarray(moved_x, float), np.asarray(moved_y, float)
 
 
@@ -127,7 +129,7 @@ def outline(window: Window, lattice: Lattice, points: int = 5) -> tuple[FloatArr
     window : Window
     lattice : Lattice
     points : int
-        Number to a side, corners included.
+        Points per side, corners included.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The survey lines of a navigation file: parted at turns and where nothing was recorded."""
+"""The survey lines of a navigation file, split at turns and gaps."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ import numpy as np
 from sasmap.survey.lattice import FloatArray
 from sasmap.survey.pings import Pings
 
-# The course is taken over this length to either side, m, and over this many pings at least.
+# The course is taken over this length to either side, m, and at least this many pings: jitter of
+# decimetres then turns it by a few degrees.
 COURSE_LENGTH, COURSE_PINGS = 3.0, 5
-# A step of so many ping spacings is a jump; one that goes straight on by less than an angle is a
-# gap in the line, not its end (degrees).
+# Ping spacings from which a step is a jump; where the course before and after it agrees within this
+# angle, degrees, it is a gap in the line, not its end (choices).
 JUMP, STRAIGHT_ON = 20.0, 30.0
-# Degrees. A file whose course spans less is one line; else pieces that span no more than SPAN are
-# lines where they are straight: their median turn a metre, over their length, is under BENT (an
-# arc's is SPAN). Their ends are cut where the course leaves its median by more than TRIMMED.
+# Degrees (choices). A file whose course spans less than TURN is one line; otherwise pieces that
+# span at most SPAN are lines where they are straight: their median rate of turn times their length
+# is under BENT (for an arc it is SPAN). Ends are cut where the course differs from its median by
+# TRIMMED.
 TURN, SPAN, BENT, TRIMMED = 90.0, 60.0, 20.0, 15.0
-# Pings of a line at least.
+# Fewest pings of a line.
 FEWEST = 2
-# Places along a track at which its course is taken, at most.
+# Most points along a track at which its course is taken: bounds the time.
 PLACES = 5000
 
 
@@ -43,7 +45,7 @@ def find_lines(pings: Pings) -> tuple[list[Span], list[str]]:
     Returns
     -------
     lines : list of Span
-        In the file's order. A track that bends throughout (a circle) is one.
+        In the file's order. A track that turns throughout (a circle) is one line.
     warnings : list of str
         Gaps within lines.
     """
@@ -55,7 +57,7 @@ def find_lines(pings: Pings) -> tuple[list[Span], list[str]]:
 
 
 def _parts(pings: Pings, warnings: list[str]) -> Iterator[Span]:
-    """Part a file where a ping lies far from the one before, and not straight on."""
+    """Split a file where a ping lies far from the one before, and not straight ahead."""
     dx, dy = np.diff(pings.x), np.diff(pings.y)
     step = np.hypot(dx, dy)
     first = 0
@@ -83,7 +85,7 @@ def _goes_on(pings: Pings, k: int, first: int) -> bool:
 
 
 def _straight(pings: Pings, part: Span) -> list[Span]:
-    """Part a stretch without jumps at its turns."""
+    """Split a stretch without jumps at its turns."""
     pick = slice(part.first, part.last + 1)
     x, y = pings.x[pick], pings.y[pick]
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
@@ -103,7 +105,7 @@ def _straight(pings: Pings, part: Span) -> list[Span]:
 
 
 def _course(x: FloatArray, y: FloatArray, length: FloatArray, place: FloatArray) -> FloatArray:
-    """Course at places along a track, degrees without jumps of 360."""
+    """Course at points along a track, degrees without jumps of 360."""
     reach = max(COURSE_LENGTH, COURSE_PINGS * float(np.median(np.diff(length))))
     reach = min(reach, length[-1] / 4)
     ahead, behind = place + reach, place - reach
@@ -113,7 +115,7 @@ def _course(x: FloatArray, y: FloatArray, length: FloatArray, place: FloatArray)
 
 
 def _pieces(course: FloatArray) -> Iterator[tuple[int, int]]:
-    """Part places so that the course spans no more than SPAN within each piece."""
+    """Split points so that the course spans no more than SPAN within each piece."""
     first, low, high = 0, course[0], course[0]
     for k in range(1, course.size):
         low, high = min(low, course[k]), max(high, course[k])
@@ -124,7 +126,7 @@ def _pieces(course: FloatArray) -> Iterator[tuple[int, int]]:
 
 
 def _cut(course: FloatArray, place: FloatArray, a: int, b: int) -> tuple[int, int] | None:
-    """Cut a piece's bent ends off; None where it is an arc."""
+    """Cut off a piece's curved ends; None where it is an arc."""
     if b - a < COURSE_PINGS:
         return None
     turn = np.abs(np.gradient(course[a : b + 1], place[a : b + 1]))

@@ -24,19 +24,20 @@ FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
 COLUMNS = ("x", "y", "longitude", "latitude", "altitude")
-# How far a track is extended beyond its first and last ping at most, m.
+# Largest extension of a track beyond its first and last ping, m (a choice: less than half a cell).
 MAX_REACH = 5.0
 # Length of a degree of latitude, m (a nautical mile of 1852 m is a minute).
 METRES_A_DEGREE = 60 * 1852.0
-# Port and starboard are told by the course over this length to either side, m.
+# Port and starboard are decided by the course over this length to either side, m: longer than
+# jitter of positions, shorter than turns.
 COURSE_LENGTH = 3.0
-# Below this grazing angle (a range of 115 altitudes) nothing is seen: farther tiles belong to
+# Smallest grazing angle (a range of 115 altitudes, beyond any sonar): farther tiles belong to
 # another track.
 MIN_GRAZING = np.radians(0.5)
 
 
 class Geometry(NamedTuple):
-    """How the sonar saw map points; NaN where it did not. All arrays have the points' shape.
+    """Viewing geometry of map points; NaN where they were not seen. Arrays of the points' shape.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class Geometry(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A sonar track as a polyline in map coordinates, one vertex a ping.
+    """A sonar track as a polyline in map coordinates, one vertex per ping.
 
     Attributes
     ----------
@@ -73,18 +74,19 @@ class Track:
     altitude: FloatArray
 
     def locate(self, x: FloatArray, y: FloatArray) -> Geometry:
-        """Find the track's nearest point (square-on look) for map points.
+        """Find the track's nearest point (broadside look) for map points.
 
         Parameters
         ----------
         x, y : ndarray
-            Map coordinates, m, of one shape. Neighbours in memory should be neighbours on the map.
+            Map coordinates, m, of one shape; fast where neighbours in memory are neighbours on the
+            map.
 
         Returns
         -------
         Geometry
-            NaN where the nearest point is an end of the track: no ping saw the point square-on.
-            The ends reach two ping spacings, at most 5 m, beyond the first and last ping.
+            NaN where the nearest point is an end of the track: no ping was abeam of the point.
+            The ends extend two ping spacings, at most 5 m, beyond the first and last ping.
         """
         shape = np.shape(x)
         points = np.ascontiguousarray(x, float).ravel(), np.ascontiguousarray(y, float).ravel()
@@ -137,15 +139,16 @@ class Track:
         return course[0], course[1]
 
 
-# Segments of a leaf of the tree over a track.
+# Segments per leaf of the tree over a track (changes only the speed).
 LEAF = 4
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _tree(tx, ty):  # type: ignore[no-untyped-def]
-    """Halve a track's segments again and again.
+    """Build a tree by halving a track's segments.
 
-    A binary heap of first and last vertices, and how far those between lie from the chord.
+    A binary heap of first and last vertices, and the largest distance of those between from the
+    chord.
     """
     size = 1
     while size * LEAF < 2 * (tx.size - 1):
@@ -168,7 +171,7 @@ def _tree(tx, ty):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _square(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Squared distance of a point from a segment, and how far along (0 to 1) that is."""
+    """Squared distance of a point from a segment, and the place along it (0 to 1)."""
     dx, dy = bx - ax, by - ay
     length = dx * dx + dy * dy
     along = (x - ax) * dx + (y - ay) * dy
@@ -179,13 +182,13 @@ def _square(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _locate(px, py, tx, ty, altitude, cx, cy, tree, out, starboard):  # type: ignore[no-untyped-def]
-    """Exact nearest point on a polyline; of segments as near, the first."""
+    """Exact nearest point on a polyline; of equally near segments, the first."""
     ends, deviation = tree
     stack = np.empty(128, np.int64)
     last = 0
     for i in range(px.size):
         x, y = px[i], py[i]
-        at = last  # the last point's segment is near this point too
+        at = last  # the previous point's segment is near this point too
         best, along = _square(x, y, tx[at], ty[at], tx[at + 1], ty[at + 1])
         root = np.sqrt(best)
         stack[0], depth = 1, int(np.isfinite(best))
@@ -211,7 +214,7 @@ def _locate(px, py, tx, ty, altitude, cx, cy, tree, out, starboard):  # type: ig
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _see(i, x, y, tx, ty, altitude, cx, cy, best, at, along, out, starboard):  # type: ignore[no-untyped-def]
-    """Fill in how a point is seen from the track's nearest point."""
+    """Fill in the geometry of a point seen from the track's nearest point."""
     if not np.isfinite(best) or (at == 0 and along <= 0.0) or (at == tx.size - 2 and along >= 1.0):
         out[0, i] = out[1, i] = out[2, i] = np.nan
         starboard[i] = False
@@ -247,7 +250,7 @@ class Stretch:
 
 
 class Navigation(NamedTuple):
-    """What a navigation file holds: its survey lines, and what was odd about it."""
+    """Contents of a navigation file: its survey lines, and warnings."""
 
     stretches: tuple[Stretch, ...]
     warnings: tuple[str, ...]
@@ -266,7 +269,7 @@ def read_navigation(
     ----------
     path : Path
         CSV with a header; columns altitude and either longitude, latitude or x, y; others are
-        ignored. One row a ping, in track order.
+        ignored. One row per ping, in track order.
     crs : str
         CRS of the track wanted.
     tile_crs : str
@@ -274,7 +277,7 @@ def read_navigation(
     navigation_crs : str or None
         CRS of the file's positions.
     columns : mapping, optional
-        The file's own names of columns.
+        The file's own column names.
 
     Returns
     -------
@@ -283,7 +286,7 @@ def read_navigation(
     Raises
     ------
     InputError
-        Where the file, a column, or a number is missing or impossible; names the row.
+        Where the file, a column, or a number is missing or invalid; names the row.
     """
     given: dict[str, str] = {
         key: " ".join(name.lower().split()) for key, name in (columns or {}).items()
@@ -299,7 +302,7 @@ def read_navigation(
     lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
     if lost.size:
         raise InputError(
-            f"{path}: row {rows[lost[0]]}: positions lie outside what the survey's CRS can hold"
+            f"{path}: row {rows[lost[0]]}: positions lie outside the domain of the survey's CRS"
         )
     pings, warnings = checked_pings(Pings(path, rows, x, y, altitude))
     warnings += _rounded(path, names, values, source)
@@ -309,12 +312,12 @@ def read_navigation(
 def _position_columns(
     table: Table, given: Mapping[str, str], navigation_crs: str | None, tile_crs: str
 ) -> tuple[tuple[str, str], str]:
-    """Which columns are positions, and their CRS."""
+    """Find the columns of positions, and their CRS."""
     path, header = table.path, {*table.header, *table.full}
     lacking = sorted(name for name in given.values() if name not in header)
     if lacking:
         raise InputError(
-            f"{path}: no column {lacking[0]!r}, which columns: names; got {table.header}"
+            f"{path}: no column {lacking[0]!r}, which `columns:` names; got {table.header}"
         )
     if given.get("altitude", "altitude") not in header:
         raise InputError(
@@ -342,7 +345,7 @@ def _position_columns(
 def _rounded(
     path: Path, names: tuple[str, str], values: list[FloatArray], source: str
 ) -> list[str]:
-    """Name positions that are rounded so much that ranges are wrong."""
+    """Warn about positions that are rounded so coarsely that ranges are wrong."""
     crs = pyproj.CRS.from_user_input(source)
     unit = METRES_A_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
     steps = [rounding_of(v) * unit for v in values]
@@ -365,14 +368,14 @@ def _check_degrees(
 
 
 def _tracks(pings: Pings, warnings: list[str]) -> Navigation:
-    """Part pings at turns, each line a track."""
+    """Split pings into survey lines, each a track."""
     moved = np.concatenate([[True], np.hypot(np.diff(pings.x), np.diff(pings.y)) > 1e-6])
     if moved.sum() < 2:
         raise InputError(f"{pings.path}: expected at least two pings at different positions")
     pings = pings.at(moved)
     lines, gaps = find_lines(pings)
     if not lines:
-        raise InputError(f"{pings.path}: no two pings follow each other along a line")
+        raise InputError(f"{pings.path}: no two successive pings lie on a line")
     stretches = []
     for first, last in lines:
         line = pings.at(slice(first, last + 1))

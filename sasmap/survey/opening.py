@@ -20,15 +20,15 @@ from sasmap.errors import InputError
 from sasmap.numerics.threads import mapped
 from sasmap.settings.survey import PassSettings, Survey
 from sasmap.survey.cells import CellGrid, check_grid_crs, lay_grid
-from sasmap.survey.chirp import check_ripples
 from sasmap.survey.contents import look_into
 from sasmap.survey.gains import compare_gains
 from sasmap.survey.navigation import read_navigation
 from sasmap.survey.passes import Side, SonarPass, open_lazily
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
-from sasmap.survey.seen import assign_tiles, check_altitude, left_out, shows_floor
 from sasmap.survey.tiles import Tile, find_tiles, inspect_tile, near_miss
-from sasmap.survey.water import check_column
+from sasmap.survey.visibility import assign_tiles, check_altitude, left_out, shows_floor
+from sasmap.survey.water_column import check_column
+from sasmap.survey.wavelength_trend import check_ripples
 
 T = TypeVar("T")
 
@@ -45,9 +45,9 @@ class OpenSurvey:
     grid : CellGrid
     passes : tuple of SonarPass
     warnings : tuple of str
-        What is odd but no fault, a line each.
+        Peculiarities that are not faults, a line each.
     area : shapely geometry or None
-        Cells that it does not touch are left out, in the survey's CRS.
+        In the survey's CRS; cells that it does not touch are left out.
     """
 
     settings: Survey
@@ -58,18 +58,18 @@ class OpenSurvey:
 
     @property
     def excluded(self) -> BaseGeometry | None:
-        """Where pixels are left out."""
+        """Area whose pixels are left out."""
         return self.passes[0].excluded
 
     @property
     def polygon_files(self) -> list[Path]:
-        """Files of the area and of what is left out."""
+        """Files of the area and of the excluded area."""
         named = (self.settings.area, self.settings.exclude)
         return [self.settings.resolve(name) for name in named if name is not None]
 
 
 class _Faults:
-    """Faults of several files, gathered so that all are told at once."""
+    """Faults of several files, collected to be reported together."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -100,7 +100,7 @@ def open_survey(survey: Survey) -> OpenSurvey:
     Raises
     ------
     InputError
-        With a line for every fault found in tiles, navigation and polygons.
+        With one line per fault in tiles, navigation and polygons.
     """
     faults = _Faults()
     found = [faults.gather(lambda s=s: _inspect_tiles(survey, s)) for s in survey.passes]  # type: ignore[misc]
@@ -125,11 +125,11 @@ def open_survey(survey: Survey) -> OpenSurvey:
 
 
 def _tell(tiles: list[tuple[Tile, ...]]) -> None:
-    """Say what the first look does: on large mosaics it takes seconds."""
+    """Log what the first check does: on large mosaics it takes seconds."""
     every = [tile for part in tiles for tile in part]
     megapixels = sum(tile.window.height * tile.window.width for tile in every) / 1e6
     log.info(
-        "first look at %s (%.3g megapixels) and %s: fill, what the numbers are, gains, geometry",
+        "checking %s (%.3g megapixels) and %s: fill, pixel values, gains, geometry",
         _counted(len(every), "tile"), megapixels, _counted(len(tiles), "navigation file"),
     )  # fmt: skip
 
@@ -139,7 +139,7 @@ def _counted(count: int, what: str) -> str:
 
 
 def _look_into(tiles: tuple[Tile, ...], warnings: list[str], faults: _Faults) -> tuple[Tile, ...]:
-    """Find fill in tiles and judge their numbers."""
+    """Find fill in tiles and check their pixel values."""
     looked = []
     for tile, odd, wrong in mapped(look_into, tiles, os.cpu_count()):
         looked.append(tile)
@@ -149,7 +149,7 @@ def _look_into(tiles: tuple[Tile, ...], warnings: list[str], faults: _Faults) ->
 
 
 def _polygons(survey: Survey, key: str, grid: CellGrid, warnings: list[str]) -> BaseGeometry | None:
-    """Read the polygons that a key of the survey file names."""
+    """Read the polygons named by a key of the survey file."""
     name = getattr(survey, key)
     if name is None:
         return None
@@ -191,7 +191,7 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
 
 
 def _is_product(survey: Survey, path: Path) -> bool:
-    """Whether a path is where a run writes a product."""
+    """Whether a run writes a product to this path."""
     inside = path.resolve().parent == survey.output_folder.resolve()
     return inside and path.name in PRODUCTS
 
@@ -211,7 +211,7 @@ def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:
     """
     for path in sorted({*inputs, survey.path}):
         if _is_product(survey, path):
-            raise InputError(f"{path}: a product of that name would replace this input; move one")
+            raise InputError(f"{path}: a product of this name would overwrite this input; move one")
 
 
 def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
@@ -220,7 +220,7 @@ def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
     else:
         where, crs = str(tiles[0].path), pyproj.CRS.from_wkt(tiles[0].lattice.crs)
     wkt = crs.to_wkt()
-    # two spellings of one CRS must not count as two
+    # two spellings of a CRS must not count as two
     for tile in tiles:
         if tile.lattice.crs != wkt and pyproj.CRS.from_wkt(tile.lattice.crs).equals(
             crs, ignore_axis_order=True
@@ -240,7 +240,7 @@ def _open(
     excluded: BaseGeometry | None,
     warnings: list[str],
 ) -> list[SonarPass]:
-    """Open a pass: a line of its navigation each, if several saw its tiles."""
+    """Open a pass: one per line of its navigation, if several saw its tiles."""
     path = survey.resolve(settings.navigation)
     navigation = read_navigation(
         path, crs, tiles[0].lattice.crs, settings.navigation_crs, settings.columns
@@ -264,7 +264,7 @@ def _open(
 
 
 def _check_pixels(lines: list[SonarPass], crs: str) -> list[str]:
-    """Check that the pass shows a pixel of sea floor; return a line for each tile that does not."""
+    """Check that the pass shows sea floor; return a warning for each tile without any."""
     empty, told, count = [], [], 0
     for sonar_pass in lines:
         for tile in sonar_pass.tiles:
@@ -301,8 +301,8 @@ def open_pass(survey: Survey, name: str) -> xr.DataArray:
         the pixel centres (m, in the survey's CRS; two-dimensional where the tiles are rotated
         against it), ``ground_range``, ``altitude`` (m), ``look_azimuth`` (degrees clockwise from
         grid north), for slant-range tiles ``ground_x``, ``ground_y``, and ``spatial_ref``, the
-        CRS in CF form. Pixels of the first tile's lattice; tiles on other lattices are laid into
-        it by nearest pixel.
+        CRS in CF form. On the first tile's lattice; tiles on other lattices are resampled by
+        nearest neighbour.
 
     Raises
     ------
@@ -323,10 +323,10 @@ def open_pass(survey: Survey, name: str) -> xr.DataArray:
 
 
 def _chosen(opened: OpenSurvey, name: str) -> SonarPass:
-    """Return the pass of a name; of one that several lines saw, the line's."""
+    """Return the pass of a name; if several lines saw it, that of the named line."""
     found = [p for p in opened.passes if name in (p.name, p.settings_name)]
     if not found:
-        opened.settings.find_pass(name)  # tells which there are
+        opened.settings.find_pass(name)  # its message lists the passes
     if len(found) > 1:
         known = ", ".join(repr(p.name) for p in found)
         raise InputError(f"{opened.settings.path}: pass {name!r} has several lines: open {known}")

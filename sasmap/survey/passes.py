@@ -24,7 +24,7 @@ from sasmap.survey.lattice import (
     transform_points,
 )
 from sasmap.survey.navigation import Geometry, Track
-from sasmap.survey.tiles import Amplitude, Tile, gather
+from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 
 Side = Literal["port", "starboard"]
 # Pixels a side of the dask chunks of a lazy array: 8 MB of double precision.
@@ -46,12 +46,12 @@ ATTRIBUTES = {
 
 @dataclass(frozen=True)
 class SonarPass:
-    """A pass ready to be read.
+    """A pass that is ready to be read.
 
     Attributes
     ----------
     name : str
-        The survey file's, with the line where several lines saw the pass.
+        Name in the survey file, with the number of the line where several lines saw the pass.
     settings_name : str
         The survey file's.
     tiles : tuple of Tile
@@ -64,7 +64,7 @@ class SonarPass:
         Whether the tiles' across-track axis is slant range.
     navigation : Path
     altitude_sd : float
-        How well altitude is known, standard deviation, m.
+        Standard deviation of the altitude, m.
     excluded : shapely geometry or None
         Where pixels are left out, in the survey's CRS.
     """
@@ -81,12 +81,12 @@ class SonarPass:
 
     @property
     def files(self) -> list[Path]:
-        """Every file the pass is read from."""
+        """All files of the pass."""
         return [*(tile.path for tile in self.tiles), self.navigation]
 
     @property
     def reach(self) -> float:
-        """How far a tile pixel can lie from the sea floor it shows, m."""
+        """Largest distance between a tile pixel and the sea floor that it shows, m."""
         return float(self.track.altitude.max()) if self.slant else 0.0
 
     def locate(self, x: FloatArray, y: FloatArray) -> Geometry:
@@ -109,7 +109,7 @@ class SonarPass:
 
 
 def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> dict[str, Any]:
-    """Compute where a window's pixels are and how the sonar saw them.
+    """Compute positions and viewing geometry of a window's pixels.
 
     Parameters
     ----------
@@ -124,8 +124,8 @@ def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> d
     dict
         ``x, y`` (m), ``starboard`` (bool), ``ground_range, altitude`` (m), ``look_azimuth``
         (degrees) and, for slant range, ``ground_x, ground_y`` (m), each (height, width); NaN where
-        the pass did not see the pixel: beyond the track's ends, on a side it does not show, in the
-        water column, or where the survey leaves pixels out.
+        the pass did not see the pixel: beyond the track's ends, on the other side, in the water
+        column, or in an excluded area.
     """
     x, y = transform_points(lattice.crs, crs, *lattice.centres(window))
     x, y = np.broadcast_arrays(x, y)
@@ -171,10 +171,10 @@ def open_lazily(sonar_pass: SonarPass, grid: CellGrid) -> xr.DataArray:
 
 
 def clip_lattice(tile: Tile, grid: CellGrid) -> Lattice:
-    """Return the lattice on which a tile's pixels are shown.
+    """Return the lattice on which a tile's pixels are represented.
 
-    Its own, unless it is in degrees: then one of square pixels in the survey's CRS, as large as
-    the tile's pixels on their longer side, so that none of them is shown twice.
+    Its own, unless it is in degrees: then a lattice in the survey's CRS with square pixels as large
+    as the longer side of the tile's pixels, so that none of these appears twice.
     """
     if not tile.geographic:
         return tile.lattice
@@ -193,7 +193,7 @@ def _extent(sonar_pass: SonarPass, lattice: Lattice) -> Window:
 
 def _lazy(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> xr.DataArray:
     chunks = da.core.normalize_chunks(CHUNK, (window.height, window.width), dtype=np.float64)
-    dtype = gather(sonar_pass.tiles, lattice, Window(0, 0, 0, 0)).dtype
+    dtype = read_mosaic(sonar_pass.tiles, lattice, Window(0, 0, 0, 0)).dtype
     names = ["ground_range", "altitude", "look_azimuth"]
     names += ["ground_x", "ground_y"] if sonar_pass.slant else []
     aligned = lattice.crs == crs and lattice.transform.b == lattice.transform.d == 0
@@ -206,7 +206,7 @@ def _lazy(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> 
     def pixels(block_info: Any = None) -> Amplitude:
         part = part_of(block_info)
         seen = view(sonar_pass, crs, lattice, part)
-        amplitude = gather(sonar_pass.tiles, lattice, part)
+        amplitude = read_mosaic(sonar_pass.tiles, lattice, part)
         amplitude[np.isnan(seen["ground_range"])] = np.nan
         return amplitude
 
@@ -275,7 +275,7 @@ def read_clip(
     side: Side,
     tiles: tuple[Tile, ...] | None = None,
 ) -> xr.DataArray | None:
-    """Read what one side of a pass shows of a cell.
+    """Read a cell's clip from one side of a pass.
 
     The clip is on the lattice of the tile that covers most of the cell, see
     :func:`clip_lattice`.
@@ -287,12 +287,12 @@ def read_clip(
     cell : Cell
     side : {"port", "starboard"}
     tiles : tuple of Tile, optional
-        What :func:`tiles_of_cells` gives for the cell; found here if not given.
+        Result of :func:`tiles_of_cells` for the cell; found here if not given.
 
     Returns
     -------
     DataArray (y, x) or None
-        As :func:`open_pass` gives it, but in memory, cut to the cell's own pixels (others NaN),
+        As from :func:`open_pass`, but in memory, cut to the cell's own pixels (others NaN),
         with the pixel size (m) as attribute ``pixel_size``; None where there is no pixel.
 
     Raises
@@ -317,7 +317,7 @@ def read_clip(
     main = max(tiles, key=area_of)
     lattice = clip_lattice(main, grid)
     window = window_on(lattice)
-    amplitude = gather(tiles, lattice, window)
+    amplitude = read_mosaic(tiles, lattice, window)
     if np.isnan(amplitude).all():
         return None
     seen = view(sonar_pass, grid.crs, lattice, window)
@@ -339,12 +339,12 @@ def _around(cell: Cell, grid: CellGrid, reach: float) -> tuple[FloatArray, Float
 
 
 def _pixel_size(tile: Tile, lattice: Lattice) -> float:
-    """Side of the pixels of a clip, m."""
+    """Side of a clip's pixels, m."""
     return float(abs(lattice.transform.a)) if tile.geographic else tile.pixel_size
 
 
 def _span(valid: NDArray[np.bool_]) -> slice:
-    """From the first to the last valid row or column; two at least, which tell the lattice."""
+    """Range from the first to the last valid row or column; at least two, to define the lattice."""
     at = np.flatnonzero(valid)
     first, last = int(at[0]), int(at[-1])
     if first == last and valid.size > 1:

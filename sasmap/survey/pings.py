@@ -1,7 +1,7 @@
-"""Implausible pings: outliers of position and altitude, gaps, steps, rows out of order.
+"""Checks of pings: outliers of position and altitude, gaps, steps, rows out of order.
 
-A few are interpolated from their neighbours, with a warning; more are refused. Rows are counted as
-in the file.
+A few bad pings are interpolated from their neighbours, with a warning; more are refused. Rows are
+numbered as in the file.
 """
 
 from __future__ import annotations
@@ -17,36 +17,38 @@ from numpy.typing import NDArray
 from sasmap.errors import InputError
 from sasmap.survey.lattice import FloatArray
 
-# Pings to either side whose median a ping is compared with: runs of up to five bad ones stand out.
+# Half-width of the running median, pings: runs of up to five bad pings are outliers of it.
 HALF = 5
-# Deviations that are no noise: in standard deviations (by the median absolute deviation), in ping
-# spacings for positions, and as a fraction of altitude. The sea floor's relief within eleven pings
-# is less: a wreck of a quarter of the altitude stays in the median once it lasts six.
+# Deviations that are not noise: in standard deviations (from the median absolute deviation), in
+# ping spacings for positions, and as a fraction of altitude. The sea floor's relief within eleven
+# pings is smaller: a wreck of a quarter of the altitude is in the median once it lasts six pings.
 SIGMAS, SPACINGS, FRACTION = 8.0, 4.0, 0.25
-# From the median absolute deviation of normal numbers to their standard deviation.
+# Standard deviation over median absolute deviation of a normal distribution.
 TO_SD = 1.4826
-# Bad pings that are mended: a share of all, and altitudes missing in a row.
+# Bad pings that are interpolated: largest share of all, and most successive missing altitudes
+# (choices: what interpolation can bridge).
 MOST_BAD, LONGEST_GAP = 0.1, 10
-# Pings below which medians say nothing.
+# Fewest pings for the running median: one more than its width of eleven.
 FEWEST = 12
-# A step of altitude between two pings that no floor makes: a fraction of the median altitude that
-# heights would be wrong by, steeper than 45 degrees, and so much that it lasts.
+# Step of altitude between two pings that is not relief: as a fraction of the median altitude (the
+# error that heights would have), steeper than 45 degrees, and lasting.
 CLIFF = 0.2
-# Step of rounded altitudes, as a share of altitude, beyond which half of it is an error of A_H that
-# counts.
+# Step of rounded altitudes, as a share of altitude, whose half is a significant error of A_H
+# (2.5 %).
 COARSE = 0.05
-# A step across the track that lasts: metres, ping spacings, and standard deviations of the scatter
-# across the track. A range of ten metres is wrong by a twentieth of it.
+# Lasting step across the track: in metres (a twentieth of a range of ten metres), ping spacings,
+# and standard deviations of the scatter across the track.
 ASIDE, ASIDE_SPACINGS, ASIDE_SIGMAS = 0.5, 2.0, 8.0
-# Ping spacings beyond which a step is the way to another line.
+# Ping spacings beyond which a step leads to another line (the jump of survey/lines.py).
 FARTHEST_ASIDE = 20.0
-# Rounded positions: the step of the numbers, m, that matters beside ranges of ten metres, the share
-# of pings at which the numbers then leave a straight line by half of it.
+# Rounded positions: the step, m, that matters for ranges of ten metres, and the share of pings that
+# then deviate from a straight line by half of it.
 ROUNDED, BENT = 0.25, 0.1
-# Out of order: the median step over the distance to the nearest ping, and over the track's extent.
-# In order it is about 1 (jitter of three spacings: 5); shuffled, a third of the extent.
+# Rows out of order: median step over the distance to the nearest ping, and over the track's extent.
+# In order they are about 1 (jitter of three spacings: 5) and small; shuffled, the step is a third
+# of the extent.
 DISORDER, WIDE = 10.0, 0.05
-# Rows that are named, at most.
+# Most rows that a message lists.
 NAMED = 5
 
 
@@ -60,12 +62,12 @@ class Pings(NamedTuple):
     altitude: FloatArray
 
     def at(self, pick: slice | NDArray[np.bool_]) -> Pings:
-        """Return some of the pings."""
+        """Select pings."""
         return Pings(self.path, self.rows[pick], self.x[pick], self.y[pick], self.altitude[pick])
 
 
 def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
-    """Interpolate the outliers and gaps of a few pings; refuse what cannot be mended.
+    """Interpolate the outliers and gaps of a few pings; refuse more.
 
     Parameters
     ----------
@@ -94,12 +96,12 @@ def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
 
 
 def _once(pings: Pings, warnings: list[str]) -> Pings:
-    """Leave out rows that repeat an earlier one, unless it is the row before."""
+    """Drop rows that repeat an earlier one other than the row before."""
     values = np.column_stack([pings.x, pings.y, np.nan_to_num(pings.altitude, nan=-1.0)])
     _, first, inverse = np.unique(values, axis=0, return_index=True, return_inverse=True)
     origin = first[inverse.ravel()]
     index = np.arange(values.shape[0])
-    standing = np.zeros(index.size, bool)  # a sonar that waits repeats its row, and harms nothing
+    standing = np.zeros(index.size, bool)  # a sonar that stands still repeats rows: harmless
     standing[1:] = (values[1:] == values[:-1]).all(axis=1)
     repeated = (origin < index) & ~standing
     if not repeated.any():
@@ -134,20 +136,20 @@ def _check_order(pings: Pings) -> None:
 
 
 def _filled(pings: Pings, warnings: list[str]) -> Pings:
-    """Interpolate altitude over a few pings without one: empty, zero or negative."""
+    """Interpolate altitude where a few pings have none: empty, zero or negative."""
     altitude = pings.altitude.copy()
     missing = ~(altitude > 0)
     if not missing.any():
         return pings
     at = np.flatnonzero(missing)
     longest = max(len(run) for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1))
-    # an altimeter slower than the sonar leaves gaps between its readings, none of them long
+    # an altimeter slower than the sonar leaves short gaps between its readings
     slow = (
         longest <= LONGEST_GAP and (~missing).sum() >= FEWEST / 2 and np.isnan(altitude[at]).all()
     )
     if longest > LONGEST_GAP or (at.size > MOST_BAD * missing.size and not slow):
         given = altitude[at[0]]
-        what = "a number, got none" if np.isnan(given) else f"more than 0 m, got {given:g}"
+        what = "a number, got nothing" if np.isnan(given) else f"more than 0 m, got {given:g}"
         more = f" ({at.size} of {missing.size} pings have none)" if at.size > 1 else ""
         raise InputError(f"{pings.path}: row {pings.rows[at[0]]}: altitude: expected {what}{more}")
     altitude[missing] = np.interp(at, np.flatnonzero(~missing), altitude[~missing])
@@ -158,7 +160,7 @@ def _filled(pings: Pings, warnings: list[str]) -> Pings:
 
 
 def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
-    """Interpolate positions and altitudes that leave their neighbours' median by too much."""
+    """Interpolate positions and altitudes that are outliers of the running median."""
     if pings.x.size < FEWEST:
         return pings
     x, y, altitude = pings.x.copy(), pings.y.copy(), pings.altitude.copy()
@@ -166,7 +168,7 @@ def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
     step = np.hypot(np.diff(x), np.diff(y))
     spacing = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     limit = max(SPACINGS * spacing, SIGMAS * TO_SD * float(np.median(away)))
-    # the last ping of a line leaves the median of those around it, but not of those before it
+    # the last ping of a line is far from the median around it, but not from that before it
     bad = (away > limit) & (np.minimum(*_from_either_side(x, y)) > limit)
     if bad.any():
         at = np.flatnonzero(bad)
@@ -191,20 +193,20 @@ def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
 def _mend(
     values: Sequence[FloatArray], bad: NDArray[np.bool_], told: str, warnings: list[str]
 ) -> None:
-    """Interpolate bad numbers in place, or refuse them where they are too many."""
+    """Interpolate bad numbers in place, or refuse them where there are too many."""
     if bad.sum() > MOST_BAD * bad.size:
-        raise InputError(f"{told}: {bad.sum()} of {bad.size} pings are so: correct the file")
+        raise InputError(f"{told}: {bad.sum()} of {bad.size} pings are like that: correct the file")
     for one in values:
         one[bad] = np.interp(np.flatnonzero(bad), np.flatnonzero(~bad), one[~bad])
     warnings.append(f"{told}: interpolated from the pings around; correct or remove it")
 
 
 def _median(values: FloatArray) -> FloatArray:
-    """Take a running median over a ping and its neighbours; the trend goes on beyond the ends."""
+    """Take a running median over a ping and its neighbours; the trend continues beyond the ends."""
     width = 2 * HALF + 1
 
     def beyond(end: FloatArray) -> FloatArray:
-        """Values before the first of `end`, along a line that outliers do not move."""
+        """Values before the first of `end`, along a robust line."""
         place = np.arange(end.size)
         slope = float(np.median(np.diff(end)))
         level = float(np.median(end - slope * place))
@@ -218,7 +220,7 @@ def _median(values: FloatArray) -> FloatArray:
 
 
 def _from_either_side(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance of each ping from where those before it, and those after it, lead; inf at ends."""
+    """Distance of each ping from extrapolations of those before and after it; inf at the ends."""
     width = 2 * HALF + 1
     place = np.arange(width)
     ahead, behind = [], []
@@ -235,7 +237,7 @@ def _from_either_side(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _check_rounding(pings: Pings, warnings: list[str]) -> None:
-    """Name altitudes that are rounded so much that heights are wrong."""
+    """Warn about altitudes that are rounded so coarsely that heights are wrong."""
     levels = np.unique(pings.altitude)
     if levels.size < 2 or pings.altitude.size < FEWEST:
         return
@@ -249,7 +251,7 @@ def _check_rounding(pings: Pings, warnings: list[str]) -> None:
 
 
 def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
-    """Name steps of altitude that last, and that no sea floor makes between two pings."""
+    """Warn about lasting steps of altitude that cannot be relief."""
     limit = CLIFF * float(np.median(pings.altitude))
     along = np.hypot(np.diff(pings.x), np.diff(pings.y))
     step = np.abs(np.diff(pings.altitude))
@@ -259,24 +261,24 @@ def _check_cliffs(pings: Pings, warnings: list[str]) -> None:
         return
     before, after = pings.altitude[at[0]], pings.altitude[at[0] + 1]
     warnings.append(
-        f"{pings.path}: {_named(pings, at + 1)}: altitude goes from {before:.3g} m to {after:.3g} "
-        "m from one ping to the next: A_H is wrong by as much there; correct the file"
+        f"{pings.path}: {_named(pings, at + 1)}: altitude jumps from {before:.3g} m to {after:.3g} "
+        "m from one ping to the next: A_H has the same relative error there; correct the file"
     )
 
 
 def _lasting(values: FloatArray, k: int) -> float:
-    """How much the median of the pings after ping k differs from that of those up to it."""
+    """Difference of the medians of the pings after ping k and of those up to it."""
     after, before = values[k + 1 : k + 2 + HALF], values[max(k - HALF, 0) : k + 1]
     return float(np.median(after) - np.median(before))
 
 
 def _check_jumps(pings: Pings, warnings: list[str]) -> None:
-    """Name steps across the track that last: where navigation was corrected to another fix."""
+    """Warn about lasting steps across the track, as where navigation was corrected to a fix."""
     width = 2 * HALF + 2
     if pings.x.size < max(FEWEST, width):
         return
     x, y = (np.lib.stride_tricks.sliding_window_view(v, width) for v in (pings.x, pings.y))
-    # course of the pings before the step and after it, both without the step itself
+    # course of the pings before and after the step, without the step itself
     dx, dy = (v[:, HALF] - v[:, 0] + v[:, -1] - v[:, HALF + 1] for v in (x, y))
     length = np.hypot(dx, dy)
     step = x[:, HALF + 1] - x[:, HALF], y[:, HALF + 1] - y[:, HALF]
@@ -286,7 +288,7 @@ def _check_jumps(pings: Pings, warnings: list[str]) -> None:
     spacing = float(np.median(every[every > 0])) if (every > 0).any() else 0.0
     scatter = TO_SD * float(np.nanmedian(aside)) if np.isfinite(aside).any() else 0.0
     limit = max(ASIDE, ASIDE_SPACINGS * spacing, ASIDE_SIGMAS * scatter)
-    # a turn has a longer step than its neighbours nowhere; a new line is parted elsewhere
+    # a turn has no step longer than its neighbours; new lines are split off elsewhere
     found = (aside > limit) & (length > spacing * HALF) & (aside < FARTHEST_ASIDE * spacing)
     at = np.flatnonzero(found) + HALF
     if not at.size:
@@ -299,39 +301,39 @@ def _check_jumps(pings: Pings, warnings: list[str]) -> None:
 
 
 def rounding_of(values: FloatArray) -> float:
-    """Step to which positions in one coordinate were rounded, in its unit.
+    """Find the step to which one coordinate of positions was rounded, in its unit.
 
     Parameters
     ----------
     values : ndarray (n,)
-        As the file has them, in track order.
+        As in the file, in track order.
 
     Returns
     -------
     float
-        A power of ten or, of single-precision numbers, their resolution; 0 where numbers follow a
-        line more closely than such a step, or are finer.
+        A power of ten or, for single-precision numbers, their resolution; 0 where the track is
+        smoother than such a step, or the numbers are finer.
     """
     gaps = np.diff(np.unique(values))
-    # sums of decimals differ in the last bits of double precision, which is no step
+    # sums of decimals differ in the last bits of double precision, which is not a step
     gaps = gaps[gaps > 1e-12 * np.abs(values).max()]
     if values.size < FEWEST or not gaps.size:
         return 0.0
     step = float(gaps.min())
     decimal = abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3
-    with np.errstate(over="ignore"):  # what single precision cannot hold is not of it
+    with np.errstate(over="ignore"):  # what overflows single precision is not single precision
         single = values.astype(np.float32)
     coarse = bool((single == values).all()) and step >= 0.99 * np.spacing(np.abs(single).max())
     if not (decimal or coarse):
         return 0.0
-    if not decimal:  # fixes that are held, a whole step apart, are no rounding
+    if not decimal:  # repeated fixes a whole step apart are not rounding
         values = values[np.concatenate([[True], np.diff(values) != 0])]
     bent = np.abs(np.diff(values, n=2)) > 0.5 * step
     return step if bent.sum() > BENT * values.size else 0.0
 
 
 def _named(pings: Pings, at: NDArray[np.intp]) -> str:
-    """Name rows of the file."""
+    """List rows of the file."""
     rows = [str(row) for row in pings.rows[at[:NAMED]]]
     more = f" and {at.size - NAMED} more" if at.size > NAMED else ""
     return f"row{'s' if at.size > 1 else ''} {', '.join(rows)}{more}"

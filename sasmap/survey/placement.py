@@ -1,4 +1,4 @@
-"""A clip's values on the pixels of its cell."""
+"""Resampling of a clip's values to the pixels of its cell."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from sasmap.ripples.clip import Clip
 from sasmap.ripples.image import lattice
 from sasmap.survey.cells import Cell, CellGrid
 
-# Pixels by which a clip's lattice may stray from the cell's.
+# Deviation, pixels, up to which a clip's lattice counts as parallel to the cell's.
 STRAIGHT = 0.05
 
 
 def on_cell(
     clip: Clip, model: NDArray[np.float64], grid: CellGrid, cell: Cell, window: int
 ) -> NDArray[np.float32]:
-    """Take a clip's modelled amplitude to the pixels of its cell, each from its nearest.
+    """Resample a clip's modelled amplitude to the pixels of its cell by nearest neighbour.
 
     Parameters
     ----------

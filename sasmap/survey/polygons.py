@@ -1,4 +1,4 @@
-"""Polygons of a GeoJSON or GeoPackage, in any CRS, brought to the survey's."""
+"""Polygons of a GeoJSON or GeoPackage file in any CRS, transformed to the survey's."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_polygons(path: Path, grid: CellGrid, expected: str) -> BaseGeometry:
     grid : CellGrid
         Has the survey's CRS.
     expected : str
-        What is wanted, for the message where there is no file.
+        Expected file, for the message where it is missing.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def read_polygons(path: Path, grid: CellGrid, expected: str) -> BaseGeometry:
 
 
 def on_tiles(area: BaseGeometry, grid: CellGrid) -> bool:
-    """Tell whether an area meets the rectangle of all tiles.
+    """Test whether an area meets the rectangle of all tiles.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def _moved(shape: BaseGeometry, crs: pyproj.CRS, wanted: str, path: Path) -> Bas
     move = pyproj.Transformer.from_crs(crs, wanted, always_xy=True)
     moved = shapely.transform(shape, move.transform, interleaved=False)
     if not np.isfinite(shapely.get_coordinates(moved)).all():
-        raise InputError(f"{path}: coordinates lie outside what the survey's CRS can hold")
+        raise InputError(f"{path}: coordinates lie outside the domain of the survey's CRS")
     return moved
 
 
@@ -88,7 +88,7 @@ def _geojson(path: Path) -> tuple[list[BaseGeometry], pyproj.CRS]:
 
 
 def _geometries(content: dict[str, Any]) -> list[dict[str, Any]]:
-    """Geometries of a GeoJSON object, whatever it is."""
+    """Geometries of any kind of GeoJSON object."""
     kind = content["type"]
     if kind == "FeatureCollection":
         return [g for feature in content["features"] for g in _geometries(feature)]
@@ -100,7 +100,7 @@ def _geometries(content: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _crs_name(content: dict[str, Any]) -> str:
-    """Name the CRS: by default WGS 84 (RFC 7946), else what the older ``crs`` member says."""
+    """Name of the CRS: WGS 84 (RFC 7946) unless there is the older ``crs`` member."""
     return str(content["crs"]["properties"]["name"]) if content.get("crs") else WGS84
 
 

@@ -1,7 +1,7 @@
-"""Text tables as people and programs write them, read to columns of numbers.
+"""Text tables of many styles, read into columns of numbers.
 
-pandas reads the cells; what it would repair silently (surplus cells, two columns of one name) is
-refused here, with the row as a person sees it in the file: the first line is row 1.
+pandas reads the cells; what it would silently repair (surplus cells, duplicate column names) is
+refused here, with the row number in the file: the first line is row 1.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from sasmap.survey.lattice import FloatArray
 
 # Largest table that is read, bytes: about ten million pings.
 MAX_BYTES = 2**29
-# Marks between cells; a header without any of them is separated by spaces.
+# Separators; a header without any of them is separated by spaces.
 MARKS = ",;\t|"
 COMMENTS = ("#", "%", "//", "!")
-# Lines before the header at most, such as titles.
+# Most lines before the header, such as titles.
 MOST_HEAD = 40
-# What stands for no number.
+# Text that stands for a missing number.
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "*", "?"})
 # Units that need no conversion; others in a header are refused.
 UNITS = frozenset(
     ("m", "metre", "metres", "meter", "meters", "deg", "degree", "degrees", "degt", "°", "wgs84")
 )
-# Metres with a remark on what they are above.
+# Metres with a remark on the reference surface.
 _METRES_ABOVE = re.compile(r"^(m|met(er|re)s?) (above|over|from) ")
-# A thousands mark between digits: blanks of several widths and apostrophes.
+# Thousands separators between digits: spaces of several widths and apostrophes.
 _THOUSANDS = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(\D|$))")
 _UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
@@ -48,13 +48,13 @@ class Table:
     header : list of str
         Names, lower case, without units.
     full : list of str
-        Names, lower case, as they stand there.
+        Names, lower case, with units.
     units : list of str
-        What stood in brackets after each name.
+        Text in brackets after each name.
     head_row : int
         Row of the header in the file.
     rows : list of int
-        Row of the file that each line of `cells` stands on.
+        Row in the file of each row of `cells`.
     cells : DataFrame of str
     mark : str
     """
@@ -76,12 +76,12 @@ class Table:
         name : str
             Lower case, with or without its unit.
         gaps : bool
-            Whether cells may be empty, which become NaN.
+            Whether cells may be empty; these become NaN.
 
         Raises
         ------
         InputError
-            Where there are two columns of that name, one in another unit, or a cell is no number.
+            Where two columns have that name, the unit is another, or a cell is not a number.
         """
         column = self._place(name)
         text = self.cells[column]
@@ -103,7 +103,7 @@ class Table:
         if len(places) > 1:
             raise InputError(
                 f"{self.path}: row {self.head_row}: {len(places)} columns named {name!r}: "
-                "expected one; delete or rename the others, or choose by columns:"
+                "expected one; delete or rename the others, or choose one with columns:"
             )
         unit = self.units[places[0]].lower()
         if unit and unit not in UNITS and not _METRES_ABOVE.match(unit):
@@ -116,7 +116,7 @@ class Table:
     def _number(self, i: int, name: str, given: str) -> float:
         where = f"{self.path}: row {self.rows[i]}: {name}"
         try:
-            value = float(_point(given).replace("_", "?"))  # Python alone takes 1_000 for a number
+            value = float(_point(given).replace("_", "?"))  # only Python accepts 1_000 as a number
         except ValueError:
             raise InputError(f"{where}: expected a number, got {given[:40]!r}") from None
         if not np.isfinite(value):
@@ -125,7 +125,7 @@ class Table:
 
 
 def _point(given: str) -> str:
-    """Write a number with a decimal point: of commas and points, the last kind is one."""
+    """Write a number with a decimal point: of commas and points, the last kind is decimal."""
     given = _THOUSANDS.sub("", given)
     comma, point = given.rfind(","), given.rfind(".")
     if comma < 0:
@@ -142,16 +142,16 @@ def read_table(path: Path, wanted: frozenset[str]) -> Table:
     ----------
     path : Path
     wanted : frozenset of str
-        Names by which the header is known where titles stand above it.
+        Names that identify the header below titles.
 
     Raises
     ------
     InputError
-        Where the file is no text table, or a row has more cells than the header.
+        Where the file is not a text table, or a row has more cells than the header.
     """
     lines = _lines(path)
     if not lines:
-        raise InputError(f"{path}: empty: expected a header and one row a ping")
+        raise InputError(f"{path}: empty: expected a header and one row per ping")
     head, mark = _find_header(lines, wanted)
     head_row, names = lines[head][0], _split(lines[head][1], mark)
     body = lines[head + 1 :]
@@ -170,7 +170,7 @@ def read_table(path: Path, wanted: frozenset[str]) -> Table:
 
 
 def _units_below(body: list[tuple[int, str]], mark: str, width: int) -> list[str]:
-    """Units that stand in a row of their own below the header; empty without such a row."""
+    """Units in a separate row below the header; empty without such a row."""
     cells = [c.strip().strip("[]()").lower() for c in _split(body[0][1], mark)] if body else []
     if len(cells) != width or not any(cells) or any(re.search(r"\d", cell) for cell in cells):
         return []
@@ -178,8 +178,8 @@ def _units_below(body: list[tuple[int, str]], mark: str, width: int) -> list[str
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Lines that are neither blank nor comments, with their rows in the file."""
-    check_file(path, "expected a CSV file, one row a ping", MAX_BYTES)
+    """Lines that are neither blank nor comments, with their row numbers."""
+    check_file(path, "expected a CSV file, one row per ping", MAX_BYTES)
     try:
         text = _decoded(path.read_bytes())
     except OSError as error:
@@ -198,7 +198,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _decoded(raw: bytes) -> str:
-    """Text of UTF-8, of UTF-16 where its mark says so, else of Windows' western code page."""
+    """Decode UTF-8, UTF-16 with a byte-order mark, or else Windows-1252."""
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16")
     try:
@@ -208,7 +208,7 @@ def _decoded(raw: bytes) -> str:
 
 
 def _find_header(lines: list[tuple[int, str]], wanted: frozenset[str]) -> tuple[int, str]:
-    """Which line names the columns, and the mark between cells: the first that names altitude."""
+    """Find the header, the first line that names altitude, and the separator."""
     for k, (_, line) in enumerate(lines[:MOST_HEAD]):
         mark = _mark_of(line)
         names = {_name_and_unit(name)[0] for name in _split(line, mark)}
@@ -227,14 +227,14 @@ def _split(line: str, mark: str) -> list[str]:
         return re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it
     try:
         return next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
-    except csv.Error:  # a cell longer than it reads
+    except csv.Error:  # a cell longer than csv's limit
         return line.split(mark)
 
 
 def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd.DataFrame:
-    """Cells of all rows as text; one column more than the header catches what is surplus."""
+    """Cells of all rows as text; an extra column catches surplus cells."""
     for row, line in body:
-        # quoted marks are no cells; the rare line that holds both is counted in full
+        # quoted separators do not count; lines with many are split completely
         if line.count(mark) > width and (found := len(_split(line, mark))) > width + 1:
             raise InputError(_surplus(path, row, found, width))
     text = "\n".join(line for _, line in body)
@@ -254,7 +254,7 @@ def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
         raise InputError(f"{path}: expected a CSV text file: {_short(error)}") from None
     if len(cells) != len(body):
-        raise InputError(f"{path}: expected one line a row: a quoted cell spans lines")
+        raise InputError(f"{path}: expected one line per row: a quoted cell spans lines")
     cells = cells.fillna("")
     surplus = np.flatnonzero(cells[width].str.strip() != "")
     if surplus.size:
@@ -264,7 +264,7 @@ def _cells(path: Path, body: list[tuple[int, str]], mark: str, width: int) -> pd
 
 def _surplus(path: Path, row: int, found: int, width: int) -> str:
     return (
-        f"{path}: row {row}: {found} cells under {width} columns: which is which? name every "
+        f"{path}: row {row}: {found} cells under {width} column names: name every "
         "column in the header, or quote decimal commas"
     )
 
@@ -274,7 +274,7 @@ def _short(error: Exception) -> str:
 
 
 def _name_and_unit(name: str) -> tuple[str, str]:
-    """Take a header's cell apart: "Altitude (m)" is altitude in m."""
+    """Split a header cell: "Altitude (m)" is altitude in m."""
     bare = name.strip().strip("\"'").strip()
     found = _UNIT.match(bare)
     return (found[1].lower(), found[2]) if found and found[1] else (bare.lower(), "")

@@ -21,7 +21,7 @@ import rasterio
 import rasterio.windows
 import tifffile
 from numpy.typing import NDArray
-from rasterio._err import CPLE_BaseError  # GDAL's errors, which some of rasterio lets through
+from rasterio._err import CPLE_BaseError  # GDAL's errors, which rasterio lets through in places
 
 from sasmap.errors import InputError
 from sasmap.settings.survey import expanded
@@ -31,27 +31,27 @@ from sasmap.survey.fill import Fill
 from sasmap.survey.georeference import checked_crs
 from sasmap.survey.lattice import Lattice, Window, bounding_window, outline, transform_points
 
-# Of tifffile, where a file's structure is broken.
+# Exceptions of tifffile where a file's structure is broken.
 TIFF_FAULTS = (tifffile.TiffFileError, struct.error, ValueError, IndexError, KeyError, TypeError,
                ZeroDivisionError, AttributeError)  # fmt: skip
 TIFF_ENDINGS = (".tif", ".tiff")
-# TIFF's PlanarConfiguration of bands that lie apart.
+# TIFF's PlanarConfiguration for separate bands.
 SEPARATE = 2
 
 Amplitude = NDArray[np.float32] | NDArray[np.float64]
 
-# Sidecar files (overviews, auxiliary XML) are never looked at: a hostile one can point GDAL
-# at the network.
+# Sidecar files (overviews, auxiliary XML) are never read: a hostile one can make GDAL access the
+# network.
 GDAL_OPTIONS = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
     "GDAL_HTTP_TIMEOUT": "1",
     "GDAL_PAM_ENABLED": "NO",
 }
-# A tile without georeference is refused in a line of our own.
+# A tile without georeference is refused with a message of our own.
 warnings.filterwarnings("ignore", category=rasterio.errors.NotGeoreferencedWarning)
-# Largest block that is decoded, bytes: each worker holds one.
+# Largest block that is decoded, bytes: each worker holds one, so this bounds memory.
 MAX_BLOCK_BYTES = 2**29
-# Pixels' bytes over the file's that no honest file exceeds: deflate packs at most 1032 to 1.
+# Largest plausible ratio of the pixels' bytes to the file's: deflate compresses at most 1032 to 1.
 MAX_EXPANSION = 2000.0
 
 
@@ -69,9 +69,9 @@ class Tile:
     dtype : str
         Type of the stored pixels.
     kind : {"linear", "intensity", "db"}
-        What the numbers are.
+        Kind of the pixel values.
     fill : tuple of Fill
-        Where they are none, though the file does not say so.
+        Undeclared fill.
     """
 
     path: Path
@@ -90,7 +90,7 @@ class Tile:
     def pixel_size(self) -> float:
         """Side in metres of the square with a pixel's area; in degrees, of the pixel's longer side.
 
-        With the longer side no pixel is taken twice where pixels are laid at their nearest place.
+        With the longer side no pixel appears twice after nearest-neighbour resampling.
         """
         unit = _metres(self.lattice.crs)
         if unit is None:
@@ -128,7 +128,7 @@ def _outline_in(tile: Tile, crs: str) -> tuple[NDArray[np.float64], NDArray[np.f
 
 @contextmanager
 def open_geotiff(path: Path, **options: str) -> Iterator[rasterio.DatasetReader]:
-    """Open a GeoTIFF and nothing beside it.
+    """Open a GeoTIFF without its sidecar files.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
     path : Path
         A regular local file.
     kind : {"linear", "intensity", "db"}
-        What its numbers are.
+        Kind of its pixel values.
     geographic : bool
         Whether a geographic CRS is accepted.
 
@@ -197,7 +197,7 @@ def _no_file(path: Path) -> str:
 
 
 def _made_of(path: Path) -> str:
-    """Say how to make a GeoTIFF of a file that is none."""
+    """Describe how to convert a file of another format to GeoTIFF."""
     if path.suffix.lower() == ".xtf":
         return f": a raw recording: sasmap tiles {path.name} --output DIR"
     if path.suffix.lower() not in TIFF_ENDINGS:
@@ -212,7 +212,7 @@ def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
     item = np.dtype(source.dtypes[0]).itemsize
     if height * width * item > MAX_BLOCK_BYTES:
         raise InputError(
-            f"{path}: blocks of {height} x {width} pixels are too large to read; tile it"
+            f"{path}: blocks of {height} x {width} pixels are too large to read; write it in tiles"
         )
     total = source.height * source.width * item
     if total > 2**32 and total > MAX_EXPANSION * size:
@@ -221,9 +221,9 @@ def _check_blocks(path: Path, source: rasterio.DatasetReader) -> None:
 
 
 def _blocks_of(page: tifffile.TiffPage, bands: int) -> int:
-    """Blocks that an image's size asks for, by the file's own strips or tiles.
+    """Count the blocks that an image's size requires, in the file's own strips or tiles.
 
-    GDAL shows strips that are not in the file where it cuts a single large one.
+    GDAL itself splits a single large strip into virtual ones.
     """
     if page.is_tiled:
         blocks = -(-page.imagelength // page.tilelength) * -(-page.imagewidth // page.tilewidth)
@@ -237,7 +237,7 @@ def _check_directories(path: Path, size: int, bands: int) -> None:
     doubts = _Doubts()
     logger = logging.getLogger("tifffile")
     handlers, propagate = logger.handlers, logger.propagate
-    logger.handlers, logger.propagate = [doubts], False  # it tells of a broken chain by a log line
+    logger.handlers, logger.propagate = [doubts], False  # a broken chain is only logged
     try:
         with tifffile.TiffFile(path) as file:
             pages = list(file.pages)
@@ -247,24 +247,24 @@ def _check_directories(path: Path, size: int, bands: int) -> None:
     finally:
         logger.handlers, logger.propagate = handlers, propagate
     if doubts.lines:
-        raise InputError(f"{path}: truncated: its list of images leads past the end of the file")
+        raise InputError(f"{path}: truncated: its list of images points past the end of the file")
     for k, page in enumerate(pages):
         offsets, lengths = np.array(page.dataoffsets), np.array(page.databytecounts)
         if offsets.size != lengths.size:
             raise InputError(f"{path}: corrupt: {offsets.size} blocks of {lengths.size} lengths")
         if k == 0 and offsets.size < blocks:
             raise InputError(
-                f"{path}: truncated: {offsets.size} of the {blocks} blocks that its size asks for"
+                f"{path}: truncated: {offsets.size} of the {blocks} blocks that its size requires"
             )
         if k == 0 and not (offsets * lengths).any():
-            raise InputError(f"{path}: no block of it was ever written")
+            raise InputError(f"{path}: none of its blocks was ever written")
         if (offsets + lengths > size).any():
             block = int((offsets + lengths > size).argmax())
             raise InputError(f"{path}: truncated: block {block} lies past the end of the file")
 
 
 class _Doubts(logging.Handler):
-    """Keeps what tifffile says of a file's structure."""
+    """Collects tifffile's log messages about a file's structure."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -288,7 +288,7 @@ def read_tile(tile: Tile, window: Window) -> Amplitude:
     -------
     ndarray (height, width)
         Linear amplitude, float32 (float64 where the file holds it or 32-bit integers); NaN where
-        there is none: nodata, masked, infinite or negative.
+        there is no amplitude: nodata, masked, infinite or negative.
 
     Raises
     ------
@@ -324,14 +324,14 @@ def read_numbers(tile: Tile, window: Window) -> Amplitude:
         with open_geotiff(tile.path) as source:
             raw = source.read(1, window=area)
             missing = source.read_masks(1, window=area) == 0
-            if source.nodata is not None:  # a mask of the file's own hides its nodata value
+            if source.nodata is not None:  # a mask in the file hides its nodata value
                 missing |= raw == source.nodata
             scale, offset = source.scales[0], source.offsets[0]
     except rasterio.errors.RasterioError as error:
         raise OSError(f"{tile.path}: {_where(window)} cannot be read: {error}") from None
     for fill in tile.fill:
         missing |= (raw == fill.value) & fill.near(window)
-    # a broken file's NaN can be one that signals, and its numbers larger than float32 holds
+    # a broken file can hold signalling NaN, and numbers beyond float32
     with np.errstate(invalid="ignore", over="ignore"):
         numbers = raw.astype(target)
         if (scale, offset) != (1.0, 0.0):
@@ -346,11 +346,11 @@ def _where(window: Window) -> str:
     return f"{rows}, columns {window.column} to {window.column + window.width - 1}"
 
 
-def gather(tiles: tuple[Tile, ...], lattice: Lattice, window: Window) -> Amplitude:
-    """Lay tiles into a window of a lattice, the first valid pixel winning where they overlap.
+def read_mosaic(tiles: tuple[Tile, ...], lattice: Lattice, window: Window) -> Amplitude:
+    """Copy tiles into a window of a lattice; where they overlap, the first valid pixel wins.
 
     Pixels are never interpolated, so that speckle keeps its statistics: a tile on the same lattice
-    is copied, one on another lattice gives each pixel the value of its own nearest pixel.
+    is copied, a tile on another lattice is resampled by nearest neighbour.
 
     Parameters
     ----------
@@ -427,7 +427,7 @@ def find_tiles(folder: Path, pattern: str) -> list[Path]:
     Parameters
     ----------
     folder : Path
-        Where relative patterns start.
+        Start of relative patterns.
     pattern : str
 
     Returns
@@ -448,7 +448,7 @@ def near_miss(folder: Path, pattern: str) -> str:
     Parameters
     ----------
     folder : Path
-        Where relative patterns start.
+        Start of relative patterns.
     pattern : str
 
     Returns

@@ -1,4 +1,4 @@
-"""Polygons that show what sediments look like: read, checked, laid on the map's pixels."""
+"""Training polygons of sediment classes: read, checked, rasterised."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from sasmap.survey.passes import SonarPass, view
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
 from sasmap.survey.tiles import Tile, read_tile
 
-# Pixels a side of the pieces in which training is counted.
+# Pixels a side of the pieces in which training pixels are counted: bounds memory.
 CHUNK = 512
-# Half the side of the piece that tells how speckle is correlated, pixels.
+# Half the side, pixels, of the piece in which the correlation of speckle is estimated.
 MIDDLE = 64
 
 
 class Training(NamedTuple):
-    """Where a class is known to lie.
+    """Training area of a class.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Training(NamedTuple):
 
 
 def read_training(survey: Survey, grid: CellGrid) -> tuple[Training, ...]:
-    """Read the training polygons that a survey names; none where it names none.
+    """Read the training polygons that a survey names, if any.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _read(path: Path, settings: ClassSettings, grid: CellGrid) -> Training:
 def check_shown(
     training: tuple[Training, ...], passes: tuple[SonarPass, ...], grid: CellGrid
 ) -> None:
-    """Check that the tiles show enough of each class, before hours of other work.
+    """Check that the tiles show enough of each class, before the run spends hours.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def check_shown(
     Raises
     ------
     InputError
-        With a line for each class of which too few valid pixels are shown.
+        With one line per class that has too few valid pixels.
     """
     faults: list[str] = []
     if not training:
@@ -121,14 +121,14 @@ def check_shown(
         if shown < needed:
             faults.append(
                 f"{one.path}: class {one.name!r}: the tiles show {shown} pixels of its polygons: "
-                f"expected at least {needed}; draw larger ones, on pixels that are seen"
+                f"expected at least {needed}; draw larger ones, on valid pixels"
             )
     if faults:
         raise InputError(faults)
 
 
 def _pixels_a_sample(passes: tuple[SonarPass, ...]) -> float:
-    """Pixels to one independent sample, from the middle of each pass's first tile."""
+    """Pixels per independent sample, from the middle of each pass's first tile."""
     looks = []
     for sonar_pass in passes:
         tile = sonar_pass.tiles[0]
@@ -144,7 +144,7 @@ def _pixels_a_sample(passes: tuple[SonarPass, ...]) -> float:
 
 
 def _shown(area: BaseGeometry, sonar_pass: SonarPass, tile: Tile, crs: str, needed: int) -> int:
-    """Count a tile's valid pixels in an area, no further than are needed."""
+    """Count a tile's valid pixels in an area, up to the needed number."""
     x, y = shapely.get_coordinates(area.envelope).T
     box = bounding_window(*tile.lattice.pixel_of(*transform_points(crs, tile.lattice.crs, x, y)))
     box = box.intersect(tile.window)
@@ -168,7 +168,7 @@ def _shown(area: BaseGeometry, sonar_pass: SonarPass, tile: Tile, crs: str, need
 
 
 def cells_shown(training: tuple[Training, ...], grid: CellGrid) -> list[Cell]:
-    """Cells that training polygons meet, row by row."""
+    """Find the cells that training polygons meet, row by row."""
     found = set()
     for one in training:
         left, bottom, right, top = one.area.bounds
@@ -188,7 +188,7 @@ def cells_shown(training: tuple[Training, ...], grid: CellGrid) -> list[Cell]:
 def marked(
     training: tuple[Training, ...], grid: CellGrid, cell: Cell, window: int
 ) -> NDArray[np.uint8]:
-    """Classes that training polygons show on a cell's pixels.
+    """Rasterise training polygons on a cell's pixels.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def marked(
     Returns
     -------
     ndarray of uint8 (window, window)
-        1 for the first class, 0 where none is shown.
+        1 for the first class, 0 outside training polygons.
     """
     place: Affine = grid.pixels(window) @ Affine.translation(
         cell.column * window, cell.row * window

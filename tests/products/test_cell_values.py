@@ -15,10 +15,10 @@ import sasmap
 from sasmap.catalogue import BY_FILE, CATALOGUE, Band, Product, Ramp
 from sasmap.errors import InputError
 from sasmap.products.cell_values import VALUES, cell_results, label, measured, statistics
-from sasmap.products.ranges import range_of, widened
+from sasmap.products.ranges import padded_range, range_of
 from sasmap.products.ripples import write_ripple_rasters
+from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.derived import Derived
-from sasmap.ripples.fusion import CellEstimate
 
 
 def read(folder, name):
@@ -69,7 +69,7 @@ def test_cells_are_polygons_with_all_that_is_known(sample):
             np.testing.assert_allclose(cells[f"{name}_{statistic}"], raster, rtol=1e-6)
     rippled = cells["column"] < 2
     assert (cells["quality"][rippled] == 1).all()
-    assert set(cells["reason"][~rippled]) == {"looked at, and no ripples found"}
+    assert set(cells["reason"][~rippled]) == {"examined, and no ripples found"}
     assert all("near" in p or "far" in p for p in cells["passes"][rippled])
     assert all(text.startswith("λ 1.66") for text in cells["label"][rippled])
     with rasterio.open(output / "ripple_quality.tif") as source:
@@ -171,8 +171,8 @@ def test_colours_span_at_least_what_is_uncertain(sample):
         assert high - low >= 3.9 * np.nanmedian(bands[1])
         assert low <= np.nanmin(bands[0])
         assert np.nanmax(bands[0]) <= high
-    assert widened(np.array([2.0, 5.0]), np.array([0.1])) == pytest.approx((2.0, 5.0))
-    low, high = widened(np.array([1e-3]), np.array([0.01]))
+    assert padded_range(np.array([2.0, 5.0]), np.array([0.1])) == pytest.approx((2.0, 5.0))
+    low, high = padded_range(np.array([1e-3]), np.array([0.01]))
     assert low == 0.0  # a height is not negative
     assert high == pytest.approx(0.021)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sasmap.products.law_figure import law_figure, level, told
+from sasmap.products.law_figure import law_caption, law_figure, level
 from sasmap.ripples.looks import Shared
 from sasmap.ripples.survey import SurveyModel
 
@@ -28,14 +28,14 @@ def test_the_caption_says_whether_anything_fixed_the_law():
     assert picture.source.startswith("data:image/png;base64,")
     assert "n 2.0" in picture.caption
     assert "No shadow" not in picture.caption
-    assert "No shadow" in told(model(1.0))
+    assert "Neither shadow" in law_caption(model(1.0))
 
 
 def test_the_caption_says_that_shape_misleads():
     plain = model(0.05)
     bent = [v._replace(shift=np.array([-1.0, 0.0])) for v in plain.values]
-    assert "bends otherwise" not in told(plain)
-    assert "wrong by -1.0" in told(SurveyModel(tuple(bent), True))
+    assert "another form" not in law_caption(plain)
+    assert "biases n by -1.0" in law_caption(SurveyModel(tuple(bent), True))
 
 
 @pytest.mark.parametrize("survey", [None, model(0.1, learned=False)])

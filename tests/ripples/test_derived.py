@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from sasmap.ripples import RippleSettings
+from sasmap.ripples.cell_estimate import estimates
 from sasmap.ripples.derived import derived_of_draws
-from sasmap.ripples.fusion import estimates
 
 
 def test_a_mixture_and_its_draws_say_the_same():

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from sasmap.ripples import RippleSettings, estimate
-from sasmap.ripples.fusion import (
-    LIMIT,
-    UNKNOWN,
-    cell_quality,
-    fuse,
-    fuse_cells,
-    learn_survey,
-    next_prior,
-)
+from sasmap.ripples.agreement import LIMIT
+from sasmap.ripples.cell_estimate import UNKNOWN
+from sasmap.ripples.fusion import cell_quality, fuse, fuse_cells, learn_survey, next_prior
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary, summarise
 from tests.ripples.engine import coherent

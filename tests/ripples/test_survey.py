@@ -6,14 +6,8 @@ from scipy import stats
 
 from sasmap.ripples import RippleSettings
 from sasmap.ripples.fusion import fuse_cells, learn_survey
-from sasmap.ripples.looks import (
-    LAW_MEAN,
-    LAW_VARIANCE,
-    Information,
-    multiplied,
-    normalised,
-    widened,
-)
+from sasmap.ripples.information import Information, moments, multiplied, widened
+from sasmap.ripples.looks import LAW_MEAN, LAW_VARIANCE
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import contrast_per_slope
@@ -128,12 +122,12 @@ def test_factors_multiply_and_blur_as_gaussians_do():
         )
     sd = np.array([0.3, 1.0, 2.0])
     blurred = widened(factors[0], sd)
-    level, centre, spread = normalised(blurred)
+    level, centre, spread = moments(blurred)
     np.testing.assert_allclose(centre[0, 0], mean[0], rtol=1e-9)
     np.testing.assert_allclose(spread[0, 0], covariance[0] + np.diag(sd**2), rtol=1e-9)
     log_2pi = 1.5 * np.log(2 * np.pi)
     assert level[0, 0] + log_2pi == pytest.approx(0.0, abs=1e-9)
-    both = normalised(multiplied(*factors))
+    both = moments(multiplied(*factors))
     expected = stats.multivariate_normal(mean[0], covariance.sum(axis=0)).logpdf(mean[1])
     assert both[0][0, 0] + log_2pi == pytest.approx(expected)
 

@@ -5,7 +5,7 @@ from affine import Affine
 from rio_cogeo import cog_validate
 
 import sasmap
-from sasmap.run.mosaic import Ratio, solve_gains
+from sasmap.run.mosaic import GainRatio, solve_gains
 from sasmap.run.pipeline import run_survey
 from tests.helpers import small_survey, write_tile
 
@@ -13,18 +13,18 @@ from tests.helpers import small_survey, write_tile
 def test_gains_that_all_pairs_agree_on_are_found():
     truth = np.array([0.0, 0.7, -0.4, 0.2])
     pairs = ((0, 1), (1, 2), (0, 2), (2, 3))
-    ratios = [Ratio(a, b, truth[b] - truth[a], 3.0) for a, b in pairs]
+    ratios = [GainRatio(a, b, truth[b] - truth[a], 3.0) for a, b in pairs]
     np.testing.assert_allclose(solve_gains(ratios, 4), truth, atol=1e-9)
 
 
 def test_passes_that_nothing_connects_keep_their_units():
-    found = solve_gains([Ratio(1, 2, 0.5, 1.0)], 4)
+    found = solve_gains([GainRatio(1, 2, 0.5, 1.0)], 4)
     np.testing.assert_allclose(found, [0, 0, 0.5, 0], atol=1e-9)
     np.testing.assert_allclose(solve_gains([], 2), [0, 0])
 
 
 def test_a_pair_of_many_cells_weighs_more():
-    ratios = [Ratio(0, 1, 1.0, 9.0), Ratio(0, 1, 0.0, 1.0)]
+    ratios = [GainRatio(0, 1, 1.0, 9.0), GainRatio(0, 1, 0.0, 1.0)]
     assert solve_gains(ratios, 2)[1] == pytest.approx(0.9)
 
 

@@ -105,7 +105,7 @@ def test_the_plan_counts_them(found, tmp_path):
     plan = make_plan(sasmap.load_survey(path))
     text = "\n".join(describe(plan))
     assert "3 rows x 3 columns of 6 m, every 3 m" in text
-    assert "9 looks at cells" in text
+    assert "9 looks, at most 1 per cell" in text
     cost = cost_of(plan, 1)
     assert (cost.looks, cost.finished) == (9, 9)
 

@@ -296,7 +296,7 @@ def test_a_smaller_scene_leaves_no_tiles_of_the_larger_one(tmp_path):
 
 def test_a_pass_that_sees_nothing_is_refused(tmp_path):
     scene = scene_of(passes=one_pass(area=[[50, 50], [60, 50], [60, 60]]))
-    with pytest.raises(InputError, match="sees nothing"):
+    with pytest.raises(InputError, match="does not see"):
         simulate(scene, tmp_path)
 
 
@@ -313,6 +313,6 @@ def test_slant_range_is_as_good_as_ground_range(tmp_path):
         survey = sasmap.load_survey(tmp_path / kind / "survey.yaml")
         settings = sasmap.ripples.RippleSettings(scattering="zare-cobb")  # what simulated it
         posterior = sasmap.ripples.estimate(sasmap.open_pass(survey, "one"), settings, rng=1)
-        # 13 pixels a wavelength: A_H by line of sight is 4 % high, of either kind of tile
+        # 13 pixels per wavelength: A_H by line of sight is 4 % high, of either kind of tile
         assert float(posterior.mean.frequency) == pytest.approx(0.8, rel=0.005)
         assert float(posterior.mean.height) == pytest.approx(0.06, rel=0.06)

@@ -116,7 +116,7 @@ def test_projected_positions_in_another_crs(tmp_path):
         ("x,y,altitude\n1,2,3\n4,5,-2\n", "got -2"),
         ("x,y,altitude\n1,2,3\n4,oops,6\n", "row 3: y: expected a number, got 'oops'"),
         ("x,y,altitude\n1,2,3\n4,5\n", "row 3: altitude: expected a number"),
-        ("x,y,altitude\n1,2,3\n4,5,nan\n", "row 3: altitude: expected a number, got none"),
+        ("x,y,altitude\n1,2,3\n4,5,nan\n", "row 3: altitude: expected a number, got nothing"),
         ("x,y,altitude\n1,2,3\n", "at least two pings"),
         ("x,y,altitude\n1,2,3\n1,2,3\n", "two pings at different positions"),
         ("longitude,latitude,altitude\n1,2,3\n4,95,6\n", "row 3: expected longitude, latitude"),

@@ -6,7 +6,7 @@ from affine import Affine
 
 from sasmap.errors import InputError
 from sasmap.survey.lattice import Lattice, Window
-from sasmap.survey.tiles import find_tiles, gather, inspect_tile, read_tile
+from sasmap.survey.tiles import find_tiles, inspect_tile, read_mosaic, read_tile
 from tests.helpers import write_tile
 
 NORTH_UP = Affine(0.5, 0, 500000.0, 0, -0.5, 3300000.0)
@@ -107,7 +107,7 @@ def test_gather_same_lattice_first_wins(tmp_path):
     first[:, 10:] = -1  # invalid: the second tile shows through
     a = inspect_tile(write_tile(tmp_path / "a.tif", first, NORTH_UP))
     b = inspect_tile(write_tile(tmp_path / "b.tif", RAMP + 1000, NORTH_UP @ shift(4, 2)))
-    got = gather((a, b), a.lattice, Window(-1, 0, 16, 26))
+    got = read_mosaic((a, b), a.lattice, Window(-1, 0, 16, 26))
     assert np.isnan(got[0]).all()
     np.testing.assert_array_equal(got[1:13, :10], RAMP[:, :10])
     np.testing.assert_array_equal(got[3:15, 10:24], 1000 + RAMP[:, 6:])
@@ -124,7 +124,7 @@ def test_gather_from_another_lattice_keeps_pixel_values(tmp_path):
     tile = inspect_tile(write_tile(tmp_path / "a.tif", noise, turned))
     target = Lattice(tile.lattice.crs, NORTH_UP)
     window = Window(0, -30, 60, 70)
-    got = gather((tile,), target, window)
+    got = read_mosaic((tile,), target, window)
     x, y = target.centres(window)
     row, column = tile.lattice.pixel_of(x, y)
     inside = (row >= 0) & (row < 40) & (column >= 0) & (column < 40)
@@ -152,7 +152,7 @@ def test_a_file_whose_writer_was_killed_is_refused(tmp_path):
         blockxsize=32, blockysize=32, **profile,
     ):  # fmt: skip
         pass
-    assert "no block of it was ever written" in faulty(path)
+    assert "none of its blocks was ever written" in faulty(path)
 
 
 def with_mask(path, nodata=None):

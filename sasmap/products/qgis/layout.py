@@ -1,4 +1,4 @@
-"""A page to print: map, legend, scale bar, north arrow, CRS and date."""
+"""The print layout: map, legend, scale bar, north arrow, CRS and date."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pyproj
 
 from sasmap.products.qgis.xml import child, line_settings, symbol, symbol_layer
 
-# QGIS's numbers of kinds of layout items.
+# QGIS's type numbers of layout items.
 PAGE, MAP, LEGEND, PICTURE, LABEL, SCALE_BAR = 65638, 65639, 65642, 65640, 65641, 65646
-# A4 landscape and the places of its parts: left, top, width, height, mm.
+# A4 landscape and the boxes of its items: left, top, width, height, mm.
 PAPER = (0.0, 0.0, 297.0, 210.0)
 MAP_PLACE = (10.0, 22.0, 205.0, 178.0)
 TITLE_PLACE = (10.0, 8.0, 205.0, 11.0)
@@ -22,13 +22,13 @@ LEGEND_PLACE = (220.0, 30.0, 67.0, 110.0)
 ARROW_PLACE = (272.0, 8.0, 12.0, 18.0)
 BAR_PLACE = (220.0, 150.0, 67.0, 14.0)
 NOTES_PLACE = (220.0, 168.0, 67.0, 32.0)
-# Free space around the survey on the map.
+# Margin around the survey on the map, over its size (a choice).
 MARGIN = 0.04
 ARROW = ":/images/north_arrows/layout_default_north_arrow.svg"
 
 
 class Sheet(NamedTuple):
-    """What stands on the page.
+    """Text of the page.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ def _notes(sheet: Sheet) -> str:
     code = f" ({':'.join(authority)})" if authority else ""
     surveyed = f"surveyed {sheet.dates}\n" if sheet.dates else ""
     return (
-        "Ripples: lines along the crests, longer for longer waves; dotted where flagged. "
+        "Ripples: lines along the crests, longer for longer wavelengths; dotted where flagged. "
         "λ wavelength, H height from trough to crest, ± one standard deviation.\n"
         f"CRS {crs.name}{code}\n{surveyed}"
         f"printed [% format_date(now(), 'yyyy-MM-dd') %]\n{sheet.software}"
@@ -90,10 +90,10 @@ def _notes(sheet: Sheet) -> str:
 
 
 def _extent(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Widen a box to the shape of the map on the page, m."""
+    """Widen a box (m) to the aspect ratio of the map on the page."""
     x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
     across, down = ((1 + 2 * MARGIN) * (b - a) for a, b in ((box[0], box[2]), (box[1], box[3])))
-    scale = max(across / MAP_PLACE[2], down / MAP_PLACE[3])  # m a mm
+    scale = max(across / MAP_PLACE[2], down / MAP_PLACE[3])  # m per mm
     half = scale * MAP_PLACE[2] / 2, scale * MAP_PLACE[3] / 2
     return x - half[0], y - half[1], x + half[0], y + half[1]
 

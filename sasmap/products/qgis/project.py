@@ -13,18 +13,18 @@ import rasterio
 from sasmap.catalogue import BY_FILE, CATALOGUE, PROJECT, STYLES
 from sasmap.io.files import write_text
 from sasmap.products.qgis.layout import Sheet, add_layouts
-from sasmap.products.qgis.styles import Names, style_of
+from sasmap.products.qgis.styles import Categories, style_of
 from sasmap.products.qgis.xml import VERSION, child, options, spatial_reference, text_of
 
 
 class Titles(NamedTuple):
-    """What the project says of a titles.
+    """Texts of the project.
 
     Attributes
     ----------
     name : str
     dates : str
-        When it was surveyed; empty where the survey file does not say.
+        Dates of the survey; empty where the survey file gives none.
     run_id, software : str
     """
 
@@ -35,7 +35,7 @@ class Titles(NamedTuple):
 
 
 def write_styles(
-    folder: Path, products: Sequence[str], names: Names, titles: Titles, scratch: Path
+    folder: Path, products: Sequence[str], names: Categories, titles: Titles, scratch: Path
 ) -> list[Path]:
     """Write a .qml beside each layer that has content, and the project that loads them.
 
@@ -45,7 +45,7 @@ def write_styles(
         Of the products.
     products : sequence of str
         File names of those that the run wrote.
-    names : Names
+    names : Categories
     titles : Titles
     scratch : Path
 
@@ -64,7 +64,7 @@ def write_styles(
         write_text(path, text_of(root), scratch)
         written.append(path)
     for name in set(STYLES) - {path.name for path in written}:
-        (folder / name).unlink(missing_ok=True)  # of an earlier run, of what is no more
+        (folder / name).unlink(missing_ok=True)  # of a product of an earlier run
     if any(name.endswith(".tif") for name in styles):
         written.append(folder / PROJECT)
         write_text(written[-1], _project(folder, styles, titles), scratch)

@@ -14,19 +14,19 @@ import pyogrio
 from sasmap.catalogue import BY_FILE, Product, Ramp
 from sasmap.products.colours import Colour, class_colour, colour_at, hexadecimal, stops
 from sasmap.products.qgis.xml import child, line_settings, symbol, symbol_layer
-from sasmap.products.ranges import digits_for, has_content, range_of, sampled, widened
+from sasmap.products.ranges import digits_for, has_content, padded_range, range_of, sampled
 from sasmap.ripples.posterior import Quality
 
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
-# Classes of colour of the ripple symbols, and the length of the longest of them over a cell.
+# Colour classes of the ripple symbols, and length of the longest symbol over a cell's side.
 RANGES, LONGEST = 5, 0.8
-# Standard deviations on either side of a boundary that its band shows: 95 % of a Gaussian.
+# Half-width of the band along a boundary, in standard deviations: 95 % of a Gaussian.
 BAND = 1.96
-# Name of the class pair of a boundary, the same whichever side is left.
+# Name of a boundary's pair of classes, the same whichever is left.
 PAIR = 'if("left" < "right", "left" || \' | \' || "right", "right" || \' | \' || "left")'
 
 
-class Names(NamedTuple):
+class Categories(NamedTuple):
     """Categories of the class rasters: value to name and colour.
 
     Attributes
@@ -38,7 +38,7 @@ class Names(NamedTuple):
     sediments: Mapping[int, tuple[str, Colour]]
 
 
-def categories(classes: Sequence[str], quality: Mapping[Quality, Colour]) -> Names:
+def categories(classes: Sequence[str], quality: Mapping[Quality, Colour]) -> Categories:
     """Names and colours of the class rasters' values.
 
     Parameters
@@ -49,22 +49,22 @@ def categories(classes: Sequence[str], quality: Mapping[Quality, Colour]) -> Nam
 
     Returns
     -------
-    Names
+    Categories
     """
-    return Names(
+    return Categories(
         {int(q): (q.label, colour) for q, colour in quality.items()},
         {k + 1: (name, class_colour(k)) for k, name in enumerate(classes)},
     )
 
 
-def style_of(path: Path, names: Names) -> list[ET.Element] | None:
+def style_of(path: Path, names: Categories) -> list[ET.Element] | None:
     """Return the elements that draw a product, or None where it has no content.
 
     Parameters
     ----------
     path : Path
         A layer of the catalogue.
-    names : Names
+    names : Categories
 
     Returns
     -------
@@ -89,7 +89,7 @@ def style_of(path: Path, names: Names) -> list[ET.Element] | None:
     return [pipe]
 
 
-def _codes(path: Path, product: Product, names: Names) -> dict[int, tuple[str, Colour]]:
+def _codes(path: Path, product: Product, names: Categories) -> dict[int, tuple[str, Colour]]:
     """Codes that occur in a raster, with names and colours."""
     there = {int(v) for v in np.unique(sampled(path, 1))}
     if product.file == "ripple_passes.tif":
@@ -164,7 +164,7 @@ def _paletted(values: Mapping[int, tuple[str, Colour]], opacity: float) -> ET.El
     return renderer
 
 
-def _vector(path: Path, names: Names) -> list[ET.Element] | None:
+def _vector(path: Path, names: Categories) -> list[ET.Element] | None:
     meta, _, _, arrays = pyogrio.raw.read(path)
     columns = dict(zip(meta["fields"], arrays, strict=True))
     if not arrays or len(arrays[0]) == 0:
@@ -187,7 +187,7 @@ def _outlines(colour: Colour) -> ET.Element:
 def _boundaries(
     columns: Mapping[str, Any], sediments: Mapping[int, tuple[str, Colour]]
 ) -> list[ET.Element]:
-    """Draw each pair of classes once: a band of 95 % of the position, sides in their colours."""
+    """Draw each pair of classes: the 95 % interval of the position, each side in its colour."""
     renderer = ET.Element(
         "renderer-v2", type="categorizedSymbol", attr=PAIR, symbollevels="0", forceraster="0"
     )
@@ -201,7 +201,7 @@ def _boundaries(
         band = {"outlineWidth": f'{2 * BAND:g} * "position_sd"'}
         settings = line_settings(BLACK, 0.1, "MapUnit", alpha=90)
         symbol_layer(one, "SimpleLine", settings | {"capstyle": "flat"}, band)
-        # left is negative; the first name lies left or right, as the line runs
+        # left is negative; the first name may lie on either side of the line
         side = 'if("left" < "right", 1, -1)'
         for named, offset in ((first, -0.3), (second, 0.3)):
             settings = line_settings(colours.get(named, BLACK), 0.6)
@@ -216,14 +216,14 @@ def _boundaries(
 
 
 def _ripples(path: Path, columns: Mapping[str, Any]) -> list[ET.Element] | None:
-    """Draw a line along the crests of each cell: longer for longer waves, coloured by height."""
+    """Draw a line along the crests of each cell: length by wavelength, colour by height."""
     height, sd = columns["crest_to_trough_mean"], columns["crest_to_trough_sd"]
     known = np.isfinite(height)
     if not known.any():
         return None
     ramp = BY_FILE[path.name].ramp
     assert ramp is not None
-    low, high = widened(height[known], sd[known])
+    low, high = padded_range(height[known], sd[known])
     edges = np.linspace(low, high, RANGES + 1)
     box = pyogrio.read_info(path)["total_bounds"]
     size = (box[2] - box[0]) / (1 + np.ptp(columns["column"]))

@@ -1,4 +1,4 @@
-"""Pieces of QGIS's XML that styles, project and print layout share (format of QGIS 3.22)."""
+"""QGIS XML elements shared by styles, project and print layout (format of QGIS 3.22)."""
 
 from __future__ import annotations
 

@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 
 from sasmap.survey.lattice import FloatArray
 
-# Pings and samples over which the logarithm of amplitude is averaged: speckle goes, the step from
-# water to floor stays.
+# Pings and samples over which the logarithm of amplitude is averaged: this reduces speckle but
+# keeps the step from water to floor.
 PINGS, SAMPLES = 5, 5
-# Samples of the transmitted pulse and what rings after it, as a share of the range; the share of
-# the range that altitude takes at most (a floor seen over less is none).
+# Extent of the transmitted pulse and its ringing, and largest altitude, as shares of the range
+# (less than a fifth of the range of floor is not a record).
 PULSE, DEEPEST = 0.02, 0.8
-# Share of the mean amplitude below which levels are alike: 60 dB hold any water column.
+# Floor of amplitude over its mean: 60 dB cover any water column.
 SMALLEST = 0.001
-# Samples to either side over which the step is taken.
+# Samples on either side over which the step is computed (a choice).
 REACH = 12
-# Share of the rise from water to floor at which the floor begins.
+# Share of the rise from water to floor that marks its onset (a choice).
 RISEN = 0.08
-# Samples that the bottom may move from one ping to the next, and pings of its final median.
+# Most samples that the bottom moves from one ping to the next, and pings of the final median.
 STRIDE, MEDIAN = 3, 9
 
 
@@ -37,9 +37,9 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
     Returns
     -------
     ndarray (pings,)
-        Altitude, m. The path through all pings along which amplitude steps up most (of the mean
-        logarithm before and after), found by dynamic programming, and from there back to where
-        amplitude begins to rise: a sonar that looks aside hears the floor straight below weakly.
+        Altitude, m. Dynamic programming finds the path through all pings with the largest step of
+        the mean log amplitude; it is then moved back to the onset of the rise, because a
+        side-looking sonar receives a weak echo from straight below.
     """
     length = min(s.shape[1] for s in samples)
     stacked = np.mean([_logarithm(s[:, :length]) for s in samples], axis=0)
@@ -50,21 +50,21 @@ def altitude_of(samples: list[NDArray[np.generic]], spacing: FloatArray) -> Floa
     before = (total[:, at - 1] - total[:, at - REACH - 1]) / REACH
     after = (total[:, at + REACH - 1] - total[:, at - 1]) / REACH
     path = _onset(level, at[_best_path(after - before)], first)
-    # the last quiet sample's average holds no floor yet
+    # the average at the last quiet sample contains no floor yet
     path = path + SAMPLES // 2 + 1
     smooth = scipy.ndimage.median_filter(path.astype(float), MEDIAN, mode="nearest")
     return np.asarray(smooth * spacing, float)
 
 
 def _logarithm(samples: NDArray[np.generic]) -> FloatArray:
-    """Logarithm of amplitude over its mean, with a floor that keeps zeros finite."""
+    """Logarithm of amplitude over its mean, bounded below."""
     values = samples.astype(float)
     floor = SMALLEST * max(float(values.mean()), np.finfo(float).tiny)
     return np.asarray(np.log1p(values / floor), float)
 
 
 def _onset(level: FloatArray, path: NDArray[np.int64], first: int) -> NDArray[np.int64]:
-    """Last sample before the step that is hardly above the water column."""
+    """Last sample before the step that is close to the level of the water column."""
     onset = path.copy()
     for k, step in enumerate(path):
         water = _water(level[k], first, int(step))
@@ -78,20 +78,20 @@ def _onset(level: FloatArray, path: NDArray[np.int64], first: int) -> NDArray[np
 def _water(level: FloatArray, first: int, step: int) -> FloatArray:
     """Level of the water column from sample `first` to the step.
 
-    Gain that grows with range raises noise along with it: the level is taken over two thirds of the
-    column and goes on as it grew, linear in the logarithm of range.
+    Time-varied gain raises noise with range: the level is fitted over two thirds of the column and
+    extrapolated, linear in the logarithm of range.
     """
     third = max((step - REACH - first) // 3, 1)
     near = float(np.median(level[first : first + third]))
     far = float(np.median(level[first + third : first + 2 * third]))
     place = np.log(np.arange(first, step + 1) + 0.5)
     middle = np.log(first + (0.5 + np.arange(2)) * third)
-    slope = max((far - near) / float(middle[1] - middle[0]), 0.0)  # what rings down is no gain
+    slope = max((far - near) / float(middle[1] - middle[0]), 0.0)  # ringing decays: not gain
     return np.asarray(far + slope * np.maximum(place - middle[1], 0.0), float)
 
 
 def _best_path(score: FloatArray) -> NDArray[np.int64]:
-    """Column of each row such that the sum of scores is largest and steps are short."""
+    """Column of each row with the largest sum of scores and short steps."""
     pings, places = score.shape
     total = score[0]
     back = np.zeros((pings, places), np.int64)

@@ -16,12 +16,12 @@ from sasmap.survey.lattice import FloatArray
 # Largest recording that is read, bytes: all of its pings are held in memory.
 MAX_BYTES = 2**34
 EXPECTED = "expected a side-scan recording in XTF"
-# XTF's numbers (Triton, XTF file format X41): units of positions, kinds of channel, what range is.
+# XTF codes (Triton, XTF file format X41): unit of positions, kinds of channel, kind of range.
 DEGREES, PORT, STARBOARD, GROUND_RANGE = 3, 1, 2, 2
 WGS84 = "EPSG:4326"
-# Pings below which a track cannot be checked (as for navigation files).
+# Fewest pings for the checks of the track (as for navigation files).
 FEWEST_PINGS = 12
-# Share of the range within which the transmitted pulse stands.
+# Extent of the transmitted pulse, as a share of the range.
 PULSE = 0.02
 
 
@@ -35,19 +35,19 @@ class Recording:
     longitude, latitude : ndarray (n,)
         Degrees, WGS 84.
     altitude : ndarray (n,)
-        As recorded, m; zero where it was not.
+        As recorded, m; zero where missing.
     pitch : ndarray (n,)
-        As recorded, degrees, nose up positive; zero where it was not.
+        As recorded, degrees, nose up positive; zero where missing.
     number : ndarray (n,)
-        Place of each ping in the file.
+        Index of each ping in the file.
     samples : dict of str to ndarray (n, samples)
         "port" and "starboard"; the first sample is nearest to the sonar.
     spacing : ndarray (n,)
         Range from one sample to the next, m.
     ground : bool
-        Whether ranges are along the ground already.
+        Whether ranges are ground ranges already.
     warnings : tuple of str
-        What was odd about the file.
+        Peculiarities of the file.
     """
 
     path: Path
@@ -69,7 +69,7 @@ def read_xtf(path: Path, crs: str | None) -> Recording:
     ----------
     path : Path
     crs : str or None
-        CRS of positions in metres; files in degrees need none.
+        CRS of positions in metres; not needed for degrees.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def read_xtf(path: Path, crs: str | None) -> Recording:
     """
     check_file(path, EXPECTED, MAX_BYTES)
     try:
-        import pyxtf  # of the extra `raw` alone
+        import pyxtf  # in the extra `raw` only
     except ImportError:
         raise InputError(
             f"{path}: pyxtf is needed to read XTF: pip install 'sasmap[raw]'"
@@ -93,7 +93,7 @@ def read_xtf(path: Path, crs: str | None) -> Recording:
     if len(kept) < FEWEST_PINGS:
         raise InputError(f"{path}: {EXPECTED} of at least {FEWEST_PINGS} pings, got {len(kept)}")
     x, y = _positions(path, pings, kept)
-    known = (x != 0) | (y != 0)  # a ping before the first fix has none
+    known = (x != 0) | (y != 0)  # pings before the first fix have no position
     if known.sum() < FEWEST_PINGS:
         raise InputError(f"{path}: its pings have no positions; {EXPECTED} with navigation")
     kept = [k for k, there in zip(kept, known, strict=True) if there]
@@ -113,26 +113,32 @@ def read_xtf(path: Path, crs: str | None) -> Recording:
 
 
 def _pings(path: Path, pyxtf: Any) -> tuple[Any, list[Any], list[str]]:
-    """Read the header and the sonar packets, up to where the file breaks off."""
+    """Read the header and the sonar packets, up to a break of the file."""
     index = path.with_suffix(".pyxtf_idx")
-    if index.exists():  # pyxtf would unpickle it, which runs whatever it holds
-        raise InputError(f"{index}: an index that can hold anything: remove it; none is needed")
+    if index.exists():  # pyxtf would unpickle it, which can run any code
+        raise InputError(
+            f"{index}: an index, which could run any code: remove it; it is not needed"
+        )
     pings: list[Any] = []
     header = None
     try:
         packets = pyxtf.xtf_read_gen(str(path), [pyxtf.XTFHeaderType.sonar])
         header = next(packets)
         pings += packets
-    except Exception as error:  # it raises whatever a broken file leads it to
+    except Exception as error:  # broken files raise all kinds of exceptions
         told = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
         if header is None or len(pings) < FEWEST_PINGS:
             raise InputError(f"{path}: {EXPECTED}: {told}") from None
-        return header, pings, [f"{path}: breaks off after {len(pings)} pings ({told}): used so far"]
+        return (
+            header,
+            pings,
+            [f"{path}: breaks off after {len(pings)} pings ({told}), which are used"],
+        )
     return header, pings, []
 
 
 def _at(ping: Any, number: int) -> int | None:
-    """Place of a channel among those of a ping, which may hold some of the file's channels only."""
+    """Index of a channel within a ping, which may hold only some of the file's channels."""
     numbers = [int(info.ChannelNumber) for info in ping.ping_chan_headers]
     if len(set(numbers)) < len(numbers):  # not filled in: channels in the file's order
         return number if number < len(numbers) else None
@@ -152,7 +158,7 @@ def _channels(path: Path, header: Any) -> dict[str, int]:
 
 
 def _positions(path: Path, pings: list[Any], kept: list[int]) -> tuple[FloatArray, FloatArray]:
-    """Of the sensor, or of the ship where the sensor's are not recorded."""
+    """Positions of the sensor, or of the ship where the sensor's are not recorded."""
     for prefix in ("Sensor", "Ship"):
         x = np.array([float(getattr(pings[k], f"{prefix}Xcoordinate")) for k in kept])
         y = np.array([float(getattr(pings[k], f"{prefix}Ycoordinate")) for k in kept])
@@ -169,7 +175,7 @@ def _degrees(
         return x, y
     if crs is None:
         raise InputError(
-            f"{path}: positions are in metres: name their CRS, for example --crs EPSG:32619"
+            f"{path}: positions are in metres: state their CRS, for example --crs EPSG:32619"
         )
     try:
         move = pyproj.Transformer.from_crs(crs, WGS84, always_xy=True)
@@ -177,7 +183,7 @@ def _degrees(
         raise InputError(f"--crs: expected a CRS such as EPSG:32619, got {crs!r}") from None
     longitude, latitude = move.transform(x, y)
     if not (np.isfinite(longitude).all() and np.isfinite(latitude).all()):
-        raise InputError(f"{path}: positions lie outside what --crs {crs} can hold")
+        raise InputError(f"{path}: positions lie outside the domain of --crs {crs}")
     return np.asarray(longitude, float), np.asarray(latitude, float)
 
 
@@ -191,15 +197,15 @@ def _spacing(path: Path, pings: list[Any], kept: list[int], at: int) -> FloatArr
     counts = [len(pings[k].data[_at(pings[k], at)]) for k in kept]
     ranges = np.array([float(h.SlantRange) or float(h.GroundRange) for h in headers])
     if not (ranges > 0).all():
-        raise InputError(f"{path}: ping {kept[int(np.argmin(ranges))]}: no range is recorded")
+        raise InputError(f"{path}: ping {kept[int(np.argmin(ranges))]}: no range recorded")
     return np.asarray(ranges / np.array(counts), float)
 
 
 def _stacked(pings: list[Any], kept: list[int], at: int) -> NDArray[Any]:
-    """Stack the samples of a channel, pings of fewer filled with zeros."""
+    """Stack the samples of a channel; shorter pings are padded with zeros."""
     parts = [np.asarray(pings[k].data[_at(pings[k], at)]) for k in kept]
     weights = [int(pings[k].ping_chan_headers[_at(pings[k], at)].Weight) for k in kept]
-    if len(set(weights)) > 1:  # numbers of each ping are to be divided by two to this power
+    if len(set(weights)) > 1:  # samples of each ping are divided by two to this power
         parts = [
             np.ldexp(part.astype(np.float32), -w) for part, w in zip(parts, weights, strict=True)
         ]
@@ -207,15 +213,15 @@ def _stacked(pings: list[Any], kept: list[int], at: int) -> NDArray[Any]:
     stacked = np.zeros((len(parts), length), np.result_type(*{part.dtype for part in parts}))
     for row, part in zip(stacked, parts, strict=True):
         row[: part.size] = part
-    # a signed channel holds the wave itself: its envelope is what is closest at hand
+    # a signed channel holds the waveform: its magnitude approximates the envelope
     return np.abs(stacked) if stacked.dtype.kind == "i" else stacked
 
 
 def _oriented(samples: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Turn port so that the nearest sample is the first: XTF has it from the far end on.
+    """Reverse port so that the nearest sample is first: XTF stores it from the far end.
 
-    Some programs record both sides from the sonar on. Then port's mean profile is starboard's; of
-    port alone, the transmitted pulse, the strongest of all, stands at the start.
+    Some programs store both sides from the sonar outwards. Then port's mean profile resembles
+    starboard's; with port alone, the transmitted pulse, the strongest sample, is at the start.
     """
     if "port" not in samples:
         return samples

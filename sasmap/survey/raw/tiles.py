@@ -26,29 +26,30 @@ from sasmap.survey.raw.bottom import altitude_of
 from sasmap.survey.raw.recording import Recording, read_xtf
 from sasmap.survey.raw.track import smooth_track
 
-# Pixels a side of a tile at most: what is held in memory at once.
+# Most pixels a side of a tile: bounds memory.
 SIDE = 4096
-# Share of pings without a recorded altitude above which the water column tells it.
+# Share of pings without a recorded altitude above which it is found in the water column.
 MOST_MISSING = 0.1
-# Pixel sizes that people use: the finest not under the spacing of samples is taken.
+# Round pixel sizes, m: the finest that is not below the spacing of samples is used.
 SIZES = tuple(m * 10.0**e for e in (-3, -2, -1, 0) for m in (1, 2, 2.5, 5))
-# Standard deviation of altitude as recorded, and from the water column, m, for the survey file.
+# Standard deviation of recorded altitude (a usual altimeter), and of altitude from the water
+# column, m, for the survey file.
 RECORDED_SD, FOUND_SD = 0.05, 0.3
-# The latter as a share of altitude. A side-looking beam hears the floor straight below weakly or
-# not at all: with a first echo from 25 degrees beside the vertical, altitude is 10 % too large. On
-# a recorded line (Iver2, 600 kHz, nose down by 7 to 23 degrees) it was 10 % after correction for
-# pitch. There the echo itself comes so late, over 20 dB of water within two samples, whatever the
-# threshold; 3 % are the 1500 m/s of the file's ranges, too fast for cold water, and part may be
-# that the altimeter in the nose hangs lower.
+# The latter as a share of altitude. A side-looking beam receives little or nothing from straight
+# below: with a first echo from 25 degrees off the vertical, altitude is 10 % too large. On a
+# recorded line (Iver2, 600 kHz, nose down by 7 to 23 degrees) it was 10 % after correction for
+# pitch. The echo itself, 20 dB above the water within two samples, is that late for any threshold;
+# 3 % are due to the file's 1500 m/s, too fast for cold water, and part may be due to the lower
+# altimeter in the nose.
 FOUND_SHARE = 0.1
-# First echo over the altitude as recorded beyond which one of them is wrong.
+# Limits of first echo over recorded altitude beyond which one of them is wrong.
 CONTRADICTING = (0.85, 1.25)
-# Pitch, degrees, at which the fan meets the floor a quarter of the altitude before or behind.
+# Pitch, degrees, at which the fan meets the floor a quarter of the altitude ahead or astern.
 STEEP_PITCH = 14.0
 
 
-class Line(NamedTuple):
-    """A survey line of a recording: its smoothed pings and which of the recording they are."""
+class SurveyLine(NamedTuple):
+    """A survey line of a recording: its smoothed pings and their indices."""
 
     name: str
     pings: Pings
@@ -67,7 +68,7 @@ def make_tiles(
     output : Path
         Folder to write into.
     crs : str, optional
-        CRS of positions, where the file has them in metres.
+        CRS of positions, where they are in metres.
     pixel : float, optional
         Pixel size, m; default: the spacing of samples, rounded up.
 
@@ -116,13 +117,13 @@ def make_tiles(
     return [*written, output / "survey.yaml"], warnings
 
 
-def _altitude_sd(line: Line) -> float:
+def _altitude_sd(line: SurveyLine) -> float:
     """Return the standard deviation of altitude found in the water column, m."""
     return round(max(FOUND_SD, FOUND_SHARE * float(np.median(line.pings.altitude))), 2)
 
 
 def _window(pixel: float) -> int:
-    """Pixels of a cell of about ten metres, which ripples of the usual lengths fit into."""
+    """Window of about ten metres, which suits usual wavelengths, pixels."""
     return int(np.clip(round(10.0 / pixel), 100, 500))
 
 
@@ -132,8 +133,8 @@ def _utm(recording: Recording) -> str:
     return f"EPSG:{(32600 if np.median(recording.latitude) >= 0 else 32700) + zone}"
 
 
-def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bool]:
-    """Survey lines of a recording, smoothed; and whether altitude was found in the water column."""
+def _lines(recording: Recording, target: str) -> tuple[list[SurveyLine], list[str], bool]:
+    """Smoothed survey lines of a recording, and whether altitude is from the water column."""
     move = pyproj.Transformer.from_crs("EPSG:4326", target, always_xy=True)
     x, y = move.transform(recording.longitude, recording.latitude)
     altitude = recording.altitude
@@ -143,21 +144,21 @@ def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bo
     if steep > STEEP_PITCH:
         warnings.append(
             f"{recording.path}: the sonar pitches by {steep:.0f} degrees: its fan meets the floor "
-            f"{np.tan(np.radians(steep)):.1f} altitudes before or behind the positions, which are "
-            "taken as they are"
+            f"{np.tan(np.radians(steep)):.1f} altitudes ahead or astern of the positions, which "
+            "used uncorrected"
         )
     if found:
         if recording.ground:
             raise InputError(
-                f"{recording.path}: has no altitude, and ground ranges have no water column to "
+                f"{recording.path}: has no altitude, and in ground range no water column to "
                 "find it in"
             )
         altitude = altitude_of(list(recording.samples.values()), recording.spacing)
-        # the fan is square to the vehicle's axis: pitched, it meets the floor farther away
+        # the fan is normal to the vehicle's axis: with pitch it meets the floor farther away
         altitude = altitude * np.cos(np.radians(recording.pitch))
         warnings.append(
-            f"{recording.path}: records no altitude: found in the water column, "
-            f"{altitude.min():.1f} to {altitude.max():.1f} m, perhaps too large by a tenth; check "
+            f"{recording.path}: no recorded altitude: found in the water column, "
+            f"{altitude.min():.1f} to {altitude.max():.1f} m, possibly 10 % too large; check "
             "it in the navigation"
         )
     elif not recording.ground:
@@ -173,14 +174,14 @@ def _lines(recording: Recording, target: str) -> tuple[list[Line], list[str], bo
         smooth, odd = smooth_track(every.at(part))
         warnings += odd
         places = np.searchsorted(recording.number, smooth.rows)
-        lines.append(Line(f"line_{k}" if len(spans) > 1 else "line", smooth, places))
+        lines.append(SurveyLine(f"line_{k}" if len(spans) > 1 else "line", smooth, places))
     if not lines:
-        raise InputError(f"{recording.path}: no two pings follow each other along a line")
+        raise InputError(f"{recording.path}: no two successive pings lie on a line")
     return lines, [*warnings, *gaps], found
 
 
 def _contradicted(recording: Recording) -> list[str]:
-    """Say where the water column contradicts the altitudes of a recording."""
+    """Warn where the water column contradicts the altitudes of a recording."""
     seen = altitude_of(list(recording.samples.values()), recording.spacing)
     seen = seen * np.cos(np.radians(recording.pitch))
     known = recording.altitude > 0
@@ -195,9 +196,9 @@ def _contradicted(recording: Recording) -> list[str]:
 
 
 def _gridded(
-    recording: Recording, line: Line, side: str, samples: NDArray[Any], pixel: float
+    recording: Recording, line: SurveyLine, side: str, samples: NDArray[Any], pixel: float
 ) -> Iterator[tuple[str, NDArray[Any], Affine]]:
-    """Tiles of one side: each pixel gets the sample that is nearest, none is averaged."""
+    """Tiles of one side by nearest neighbour; samples are not averaged."""
     pings = line.pings
     moved = np.concatenate([[True], np.hypot(np.diff(pings.x), np.diff(pings.y)) > 1e-6])
     track = Track(pings.x[moved], pings.y[moved], pings.altitude[moved])
@@ -223,7 +224,7 @@ def _gridded(
 
 
 def _frame(pings: Pings, reach: float, pixel: float) -> tuple[float, float, int, int]:
-    """Upper-left corner and size of the grid that a line can show, on whole pixels."""
+    """Upper-left corner and size of the grid that a line covers, in whole pixels."""
     left = np.floor((pings.x.min() - reach) / pixel) * pixel
     top = np.ceil((pings.y.max() + reach) / pixel) * pixel
     columns = int(np.ceil((pings.x.max() + reach - left) / pixel))
@@ -233,7 +234,7 @@ def _frame(pings: Pings, reach: float, pixel: float) -> tuple[float, float, int,
 
 def _sampled(
     recording: Recording,
-    line: Line,
+    line: SurveyLine,
     side: str,
     samples: NDArray[Any],
     track: Track,
@@ -241,7 +242,7 @@ def _sampled(
     x: FloatArray,
     y: FloatArray,
 ) -> NDArray[Any]:
-    """Take the samples at the pixels of columns `x` and rows `y`; 0 where there is none."""
+    """Look up the samples at the pixels of columns `x` and rows `y`; 0 where there is none."""
     wide = np.broadcast_arrays(x[None, :], y[:, None])
     seen = track.locate(*wide)
     limit = float((recording.spacing[line.places] * samples.shape[1]).max())
@@ -258,7 +259,7 @@ def _sampled(
     sample = np.floor(ranges / recording.spacing[ping]).astype(np.int64)
     inside = sample < samples.shape[1]
     values = np.zeros(sample.size, out.dtype)
-    # 0 is nodata: a sample of nothing is the least that is something
+    # 0 is nodata: samples of zero become the smallest positive value
     least = np.finfo(out.dtype).tiny if out.dtype.kind == "f" else 1
     values[inside] = np.maximum(samples[ping[inside], sample[inside]].astype(out.dtype), least)
     out[known] = values
@@ -284,7 +285,7 @@ def _write(path: Path, values: NDArray[Any], transform: Affine, crs: str, scratc
         target.set_band_description(1, "amplitude")
 
 
-def _navigation(line: Line) -> str:
+def _navigation(line: SurveyLine) -> str:
     """Navigation as CSV."""
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""A recording's track: fixes that repeat or jump from ping to ping made a smooth line."""
+"""Smoothing of a recording's track, whose fixes repeat or jump from ping to ping."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import scipy.ndimage
 from sasmap.survey.lattice import FloatArray
 from sasmap.survey.pings import Pings, checked_pings
 
-# Metres along the track to a knot of the cubic spline: vehicles turn more slowly, fixes scatter by
-# decimetres within (0.2 m on an Iver2).
+# Spacing of the knots of the cubic spline, m: vehicles turn more slowly, and fixes scatter by
+# decimetres within it (0.2 m on an Iver2).
 KNOT = 30.0
-# Pings over which altitude is averaged.
+# Pings over which altitude is averaged (a choice: reduces the altimeter's noise by 3).
 ALTITUDE_PINGS = 9
 
 
@@ -22,19 +22,19 @@ def smooth_track(pings: Pings) -> tuple[Pings, list[str]]:
     Parameters
     ----------
     pings : Pings
-        As recorded; altitude zero where there is none.
+        As recorded; altitude zero where missing.
 
     Returns
     -------
     pings : Pings
     warnings : list of str
-        What was mended.
+        Corrections that were made.
     """
     pings, warnings = checked_pings(pings)
     index = np.arange(pings.x.size, dtype=float)
     fresh = np.concatenate(
         [[True], (np.diff(pings.x) != 0) | (np.diff(pings.y) != 0)]
-    )  # a fix is held until the next: only its first ping has it in time
+    )  # a fix is repeated until the next: only its first ping is in time
     at = np.flatnonzero(fresh)
     rough = float(np.hypot(np.ptp(pings.x), np.ptp(pings.y)))
     knots = max(int(rough // KNOT), 1)

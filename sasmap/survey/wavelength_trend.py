@@ -1,11 +1,11 @@
-"""Whether ripples look regular along the range that the tiles are told to have, or along the other.
+"""Whether ripples are regular along the stated range of the tiles, or along the other.
 
-Straight ripples are as long near the track as far from it in ground range; in slant range they look
-shorter near the track, by the cosine of the grazing angle. Where the phase of the waves on the
-tiles bends over range as much as that, and no other way, the tiles' range was told wrongly.
+In ground range, straight ripples have the same wavelength near the track and far from it; in slant
+range they are shorter near the track, by the cosine of the grazing angle. Where the phase of the
+ripples on the tiles bends over range by just that much, the stated range is wrong.
 
-In 150 simulated windows (12.5 m from 5 to 12 m on, altitude 5 m) no range that was told rightly was
-doubted; of those told wrongly 7 of 10 were with straight crests, 2 of 10 with bent ones.
+In 150 simulated windows (12.5 m, from 5 to 12 m on, altitude 5 m) no correct range was doubted; of
+wrong ones 7 of 10 were found with straight crests, 2 of 10 with bent ones.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ from numpy.typing import NDArray
 from sasmap.survey.lattice import FloatArray, Window, transform_points
 from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
-from sasmap.survey.water import LARGEST
+from sasmap.survey.water_column import LARGEST
 
-# Pixels a side of the windows that are looked at (those of a usual cell), windows at most, pixels
-# averaged before, and the least valid share of a window.
+# Pixels a side of the examined windows (a usual cell), most windows, pixels that are averaged
+# first, and least valid share of a window.
 SIDE, MOST_WINDOWS, MEAN, VALID = 500, 12, 2, 0.8
-# Wavelengths that are looked for, of averaged pixels and as a share of a window, and how far a peak
-# of the spectrum stands over its median.
+# Shortest wavelength in averaged pixels, longest as a share of a window, and least ratio of the
+# spectrum's peak to its median.
 SHORTEST, LONGEST, PEAK = 4.0, 0.25, 40.0
-# Width of the phase's smoothing, wavelengths, and places a side at which the phase is taken.
+# Width of the smoothing of the phase, wavelengths, and points a side at which the phase is sampled.
 SMOOTHING, PLACES = 0.7, 48
-# Altitudes within which slant and ground range differ enough; least bend of the phase that they
-# make, rad rms, and the share of the wave vector that must point along the look.
+# Distance in altitudes within which slant and ground range differ enough; least bend of the phase
+# between them, rad rms, and least component of the wave vector along the look.
 NEAR, LEAST_BEND, ALONG = 6.0, 0.08, 0.7
-# How much of the bend that the other range would make is found (1: all, 0: none), by its least and
-# largest value. Brightness leads the crests by less the farther away they are, which on the
-# simulated sample makes it -0.5 and 1.5 where it should be 0 and 1.
+# Bounds of the found bend over that expected for the other range (1: other range, 0: stated range).
+# The lead of brightness over the crests decreases with range, which on the simulated sample gives
+# -0.5 and 1.5 instead of 0 and 1.
 FOUND = (0.7, 2.0)
-# Its standard error, where windows are enough to tell one; of fewer each must leave no more than
-# this share of the phase's variance along the other range.
+# Largest standard error of it, and windows needed to estimate one; with fewer, the other range must
+# leave at most this share of the phase's variance in each.
 ERROR, ENOUGH, STRAIGHT = 0.15, 5, 0.35
 
 
-class Bend(NamedTuple):
-    """Phase of the waves in a window.
+class RangeBend(NamedTuple):
+    """Bend of the phase of the ripples in a window.
 
     Attributes
     ----------
     found : float
-        Share of the bend that the other range would make.
+        Bend over that expected for the other range.
     expected : float
-        Variance of that bend, rad^2.
+        Variance of the expected bend, rad^2.
     straighter : float
-        Variance of the phase along the other range, over that along the one told.
+        Variance of the phase along the other range, over that along the stated one.
     """
 
     found: float
@@ -61,7 +61,7 @@ class Bend(NamedTuple):
 
 
 def check_ripples(sonar_pass: SonarPass, crs: str) -> list[str]:
-    """Compare ripples with what either range would make of them.
+    """Compare ripples with what either kind of range implies.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def check_ripples(sonar_pass: SonarPass, crs: str) -> list[str]:
     Returns
     -------
     list of str
-        A warning, or none: where there are no ripples near the track, nothing is known.
+        A warning, or none: without ripples near the track nothing is known.
     """
     bends = [b for b in (_bend(sonar_pass, *w, crs) for w in _windows(sonar_pass, crs)) if b]
     if not bends:
@@ -88,9 +88,9 @@ def check_ripples(sonar_pass: SonarPass, crs: str) -> list[str]:
         return []
     told, other = ("slant", "ground") if sonar_pass.slant else ("ground", "slant")
     return [
-        f"{sonar_pass.tiles[0].path}: range: {told} is told, but ripples change their length over "
-        f"range just as {other} range would make them: expected range: {other}, or an altitude "
-        "that is right; frequency and A_H are wrong"
+        f"{sonar_pass.tiles[0].path}: range: {told} is stated, but ripples change wavelength over "
+        f"range just as in {other} range: expected range: {other}, or a correct altitude: "
+        "frequency and A_H are wrong"
     ]
 
 
@@ -109,7 +109,7 @@ def _windows(sonar_pass: SonarPass, crs: str) -> list[tuple[Tile, Window]]:
 
 
 def _ratio(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> FloatArray:
-    """Distance from the track over altitude of a window's pixels; NaN where not seen."""
+    """Distance from the track over altitude, at a window's pixels; NaN where not seen."""
     distance, altitude = _geometry(sonar_pass, tile, crs, *tile.lattice.centres(window))
     return np.asarray(distance / altitude)
 
@@ -121,8 +121,8 @@ def _geometry(
     return seen.distance, seen.altitude
 
 
-def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend | None:
-    """How the phase of a window's waves bends over range; None without waves along the look."""
+def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> RangeBend | None:
+    """Bend of the phase of a window's ripples over range; None without ripples along the look."""
     waves = _waves(tile, window)
     if waves is None:
         return None
@@ -139,7 +139,7 @@ def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend |
     slope = np.array([np.gradient(distance, s, axis=k).mean() for k, s in enumerate(steps)])
     if not slope.any():
         return None
-    along = float(vector @ slope / (slope @ slope))  # cycles a metre of distance
+    along = float(vector @ slope / (slope @ slope))  # cycles per metre of distance
     if abs(along) < ALONG * np.hypot(*vector) / np.hypot(*slope):
         return None
     phases = [2 * np.pi * along * _bent(one, distance, (rows, columns)) for one in ranges]
@@ -147,13 +147,15 @@ def _bend(sonar_pass: SonarPass, tile: Tile, window: Window, crs: str) -> Bend |
     if expected < LEAST_BEND**2:
         return None
     left = [-2 * np.log(_coherence(field * np.exp(-1j * phase))) for phase in phases]
-    return Bend(0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / max(left[0], 1e-9))
+    return RangeBend(
+        0.5 + (left[0] - left[1]) / (2 * expected), expected, left[1] / max(left[0], 1e-9)
+    )
 
 
 def _bent(
     ranges: FloatArray, distance: FloatArray, places: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Range scaled to the distance's mean rate, without its plane over rows and columns, m."""
+    """Range scaled to the mean rate of the distance, its plane over rows and columns removed, m."""
     rate = np.polyfit(distance.ravel(), ranges.ravel(), 1)[0]
     row, column = np.meshgrid(*places, indexing="ij")
     plane = np.column_stack([row.ravel(), column.ravel(), np.ones(row.size)])
@@ -164,7 +166,7 @@ def _bent(
 
 
 def _coherence(field: NDArray[np.complex128]) -> float:
-    """Share of a field that a plane wave explains, the best of all."""
+    """Share of a field that the best plane wave explains."""
     shape = tuple(4 * n for n in field.shape)
     return float(np.abs(scipy.fft.fft2(field, shape)).max() / np.abs(field).sum())
 
@@ -172,16 +174,16 @@ def _coherence(field: NDArray[np.complex128]) -> float:
 def _waves(
     tile: Tile, window: Window
 ) -> tuple[NDArray[np.complex128], FloatArray, FloatArray, FloatArray] | None:
-    """Demodulate the waves of a window; None without any.
+    """Demodulate the ripples of a window; None without any.
 
     Returns
     -------
     field : ndarray of complex (rows, columns)
-        Amplitude and phase of the waves at some places, over a plane wave.
+        Amplitude and phase at sample points, relative to a plane wave.
     rows, columns : ndarray
-        Of the places, pixels from the window's corner.
+        Of the points, pixels from the window's corner.
     vector : ndarray (2,)
-        Of the plane wave, cycles a row and a column.
+        Of the plane wave, cycles per row and column.
     """
     try:
         values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)

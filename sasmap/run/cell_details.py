@@ -1,4 +1,4 @@
-"""Cells that the report looks at closely: chosen, and drawn from what the store keeps of them."""
+"""Cells that the report shows in detail, drawn from their stored results."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from sasmap.errors import fault_of
 from sasmap.products.cell_figures import CellPicture, cell_figure
 from sasmap.products.cell_values import ADVICE, MEANINGS, measured, statistics
+from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.clip import Clip, mean_look
-from sasmap.ripples.fusion import CellEstimate
 from sasmap.ripples.posterior import Quality
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan
@@ -25,12 +25,12 @@ FLAGGED = (
     Quality.NOT_CONVERGED,
     Quality.NOT_IDENTIFIABLE,
 )
-# Cells with a flag that are shown, at most.
+# Most flagged cells that are shown (a choice: the report stays short).
 MOST_FLAGGED = 2
 
 
-def cells_closely(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[str, Any]]:
-    """Yield what the report says and draws of some cells.
+def cell_details(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[str, Any]]:
+    """Yield text and figure of some cells.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def cells_closely(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[s
     Yields
     ------
     dict
-        ``title``, ``words``, ``source`` (data address, or None) and ``caption``.
+        ``title``, ``words``, ``source`` (data URL, or None) and ``caption``.
     """
     labels = [swath.label for swath in plan.swaths]
     for titles, cell in _chosen(outcome):
@@ -55,8 +55,8 @@ def cells_closely(plan: Plan, store: Store, outcome: Outcome) -> Iterator[dict[s
         }
         try:
             picture = None if k is None else _picture(plan, store, outcome, cell, k)
-        except Exception as error:  # one cell's picture must not cost the report
-            yield told | {"caption": f"No picture: {fault_of(error)}"}
+        except Exception as error:  # one cell's figure must not fail the report
+            yield told | {"caption": f"No figure: {fault_of(error)}"}
             continue
         if picture is not None and k is not None:
             yield told | {
@@ -71,12 +71,12 @@ def _caption(picture: CellPicture, label: str) -> str:
         return f"{shown}; the arrow is the look direction. No model: nothing was sampled."
     return (
         f"{shown}; the arrow is the look direction. Clip and posterior-mean model on one grey "
-        "scale; traces and posterior by this pass alone; 90 % intervals after each pass."
+        "scale; traces and posterior of this pass alone; 90 % intervals after each pass."
     )
 
 
 def _chosen(outcome: Outcome) -> Iterator[tuple[str, Cell]]:
-    """Best, median and worst of the good cells by the relative sd of A_H, and some with a flag."""
+    """Choose the best, median and worst good cell by the relative sd of A_H, and flagged ones."""
     good = [k for k, c in outcome.fused.items() if c.quality is Quality.GOOD]
     good.sort(key=lambda k: outcome.fused[k].final.sd[1] / outcome.fused[k].final.mean[1])
     if good:
@@ -97,7 +97,7 @@ def _chosen(outcome: Outcome) -> Iterator[tuple[str, Cell]]:
 
 
 def _best_swath(outcome: Outcome, cell: Cell) -> int | None:
-    """Return the look that knows f best, of those that stand for a cell or else of all."""
+    """Return the look with the smallest sd of f, of those used for a cell or else of all."""
     summaries = outcome.cells[cell]
     every = [k for k, s in enumerate(summaries) if s is not None]
     shown = outcome.fused[cell].group or every
@@ -106,7 +106,7 @@ def _best_swath(outcome: Outcome, cell: Cell) -> int | None:
 
 
 def _picture(plan: Plan, store: Store, outcome: Outcome, cell: Cell, k: int) -> CellPicture | None:
-    """Read a clip, and what the store keeps of its estimate."""
+    """Read a clip and its stored estimate."""
     swath, grid = plan.swaths[k], plan.opened.grid
     array = clip_of(plan, cell, swath, swath.side)
     if array is None:

@@ -1,7 +1,7 @@
-"""What the water column on the tiles says of the altitude and of the tiles' range.
+"""Check of altitude and kind of range against the water column on the tiles.
 
-A pixel nearer than the altitude shows water in slant range, and the floor in ground range. The
-first echo stands at a slant range of one altitude, whatever the altitude's unit.
+A pixel nearer than the altitude shows water in slant range, and sea floor in ground range. The
+first echo lies at a slant range of one altitude, whatever the altitude's unit.
 """
 
 from __future__ import annotations
@@ -16,37 +16,37 @@ from sasmap.survey.lattice import FloatArray, Window, transform_points
 from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
 
-# Distance from the track in altitudes: bins of the profile. The transmitted pulse stands below the
-# first, and beyond the last there is nothing to learn.
+# Bins of the profile, distance from the track in altitudes. The transmitted pulse lies before the
+# first, and ranges beyond the last carry no information.
 FIRST, LAST, STEP = 0.14, 2.6, 0.02
-# Points along a tile's longer side, and a window's sides, that tell whether pixels lie so near;
-# windows that are read at most, and pixels that a bin needs.
+# Points along a tile's longer side, and a window's sides, that are tested for nearness; most
+# windows that are read, and fewest pixels per bin.
 POINTS, CORNERS, MOST_WINDOWS, LEAST_PIXELS = 64, 3, 48, 60
-# Decibels that the floor stands over the water: side-scan and SAS have 15 and more; a beam that
-# looks aside and hears the floor straight below weakly rises by as much over half an altitude, not
-# within this share of the range. Ripples seen from so near have 6 dB.
+# Least rise from water to floor, dB (side-scan and SAS have 15 and more; ripples at such ranges
+# vary by 6), and the share of the range within which it must occur: a side-looking beam with a weak
+# first echo rises over half an altitude.
 RISE_DB, SHARP = 10.0, 0.08
-# Bins before and after a step that must show it; altitudes before it that must be dark (shadows are
-# narrower so near), or all where a tile begins below the sonar; and how far after it its level is
-# taken, as a share of its range.
+# Fewest bins before and after a step; altitudes before it that must be dark (shadows are narrower
+# at such ranges), or all where a tile begins below the sonar; interval after it over which the
+# floor's level is averaged, as a share of its range.
 FEWEST_BINS, DARK, AFTER = 4, 0.3, 0.35
-# Level of water, below the floor's, that is no water (dB), and the part of the column, in
-# altitudes, in which it is taken.
+# Level in the column, dB under the floor's, above which it is not water; and the intervals, in
+# altitudes, over which the levels of column and floor are averaged.
 BRIGHT_DB, COLUMN, FLOOR = 6.0, (0.3, 0.9), (1.1, 1.8)
-# First echo over the altitude as told: what bottom detection and a beam that looks aside leave
-# (measured: 10 % too far), and where it makes ground range doubtful.
+# First echo over stated altitude: tolerance for bottom detection and side-looking beams (measured:
+# 10 % too far), and the value from which ground range is doubtful.
 EARLY, LATE, COLUMN_ENDS = 0.87, 1.2, 0.9
-# Units of altitude people have, in metres.
+# Other units of altitude, m.
 UNITS = {"feet": 0.3048, "fathoms": 1.8288}
-# How near the ratio must be to a unit's to name it.
+# Largest relative deviation of the ratio from a unit's for the unit to be named.
 LIKE = 0.08
-# How closely (share of altitude) the edge of what is seen stands at one altitude where the water
-# column was cut out; altitude must vary by VARIES, or the edge lie within the tiles, or they begin
-# there by chance.
+# Largest scatter, in altitudes, of the edge of valid pixels about one altitude where the water
+# column was cut out. Altitude must vary by VARIES, or the edge lie within the tiles: otherwise they
+# may begin there by chance.
 FOLLOWS, VARIES = 0.015, 0.06
-# Groups of pixels by altitude, and the share of their pixels that lie nearer than the edge.
+# Groups of pixels by altitude, and the quantile of distance that is taken as their edge.
 GROUPS, EDGE = 8, 0.002
-# Intensity of nothing at all, over the largest; it keeps logarithms finite.
+# Least intensity over the largest, and smallest positive number: keep logarithms finite.
 SILENCE, TINY = 1e-12, np.finfo(float).tiny
 # Amplitude whose square is still finite.
 LARGEST = 1e150
@@ -62,9 +62,9 @@ class Profile(NamedTuple):
     level : ndarray (bins,)
         Mean intensity, dB; NaN where too few pixels are valid.
     edges : ndarray (groups,)
-        Nearest valid pixel, altitudes, of groups of pixels from the least altitude to the largest.
+        Nearest valid pixel, altitudes, of groups of pixels by increasing altitude.
     follows : bool
-        Whether what is seen has an edge that follows altitude, or one made within the tiles.
+        Whether valid pixels have an edge that follows altitude, or that lies within the tiles.
     """
 
     place: FloatArray
@@ -74,7 +74,7 @@ class Profile(NamedTuple):
 
 
 def check_column(sonar_pass: SonarPass, crs: str) -> list[str]:
-    """Compare where the tiles' first echoes stand with the altitude and with what range is told.
+    """Compare the range of the tiles' first echoes with the altitude and the stated kind of range.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def check_column(sonar_pass: SonarPass, crs: str) -> list[str]:
     Returns
     -------
     list of str
-        A warning, or none: where the tiles do not reach near enough, nothing is known.
+        A warning, or none: nothing is known where the tiles begin too far from the track.
     """
     profile = _profile(sonar_pass, crs)
     if profile is None:
@@ -97,39 +97,39 @@ def check_column(sonar_pass: SonarPass, crs: str) -> list[str]:
 
 
 def _of_slant(profile: Profile, step: float | None, middle: float) -> str:
-    """Say what contradicts slant range and an altitude."""
+    """Describe what contradicts slant range or the altitude."""
     if step is not None and not EARLY < step < LATE:
         return (
-            f"on the tiles, which are told to be in slant range, the first echo stands at "
+            f"on the tiles, stated to be in slant range, the first echo is at "
             f"{step * middle:.3g} m: {_remedy(step)}"
         )
     water, floor = (_level(profile, *part) for part in (COLUMN, FLOOR))
     if water > floor - BRIGHT_DB:
         return (
-            "pixels nearer than that show as much as the floor beyond, where slant range has "
+            "pixels nearer than that are as bright as the floor beyond, where slant range has "
             "water: expected range: ground, or a smaller altitude"
         )
     return ""
 
 
 def _of_ground(profile: Profile, step: float | None, middle: float) -> str:
-    """Say what contradicts ground range."""
+    """Describe what contradicts ground range."""
     if step is not None and step > COLUMN_ENDS:
         return (
-            f"the tiles are dark up to {step * middle:.3g} m from the track, as a water column is "
+            f"the tiles are dark up to {step * middle:.3g} m from the track, like a water column "
             "in slant range: expected range: slant, or tiles whose floor begins below the sonar"
             + ("" if step < LATE else f"; {_remedy(step)}")
         )
     if profile.follows and np.abs(profile.edges - 1).max() < FOLLOWS:
         return (
-            "the tiles begin just that far from the track, as where the water column was cut out "
-            "of slant range: expected range: slant, unless they were cut so in ground range"
+            "the tiles begin just that far from the track, as if the water column had been cut out "
+            "of slant range: expected range: slant, unless they were cut there in ground range"
         )
     return ""
 
 
 def _remedy(step: float) -> str:
-    """Say what unit an altitude may have that is off by a factor."""
+    """Name the unit that would explain an altitude that is off by a factor."""
     for unit, metres in UNITS.items():
         if abs(step / metres - 1) < LIKE:
             return f"expected altitude in metres: it looks like {unit}; convert it"
@@ -143,7 +143,7 @@ def _level(profile: Profile, first: float, last: float) -> float:
 
 
 def _step(profile: Profile) -> float | None:
-    """Distance, in altitudes, at which intensity steps up from water to floor."""
+    """Distance, in altitudes, at which intensity rises from water to floor."""
     known = np.isfinite(profile.level)
     place, level = profile.place[known], profile.level[known]
     best, found = RISE_DB, None
@@ -153,7 +153,7 @@ def _step(profile: Profile) -> float | None:
         narrow = place[k] - place[0] < DARK and place[0] > 2 * FIRST
         if narrow or min(dark.sum(), lit.sum()) < FEWEST_BINS:
             continue
-        # all of the column is dark, and all of the floor is not
+        # the whole column is dark, and the whole floor is not
         low, high = float(np.quantile(level[dark], 0.9)), float(np.quantile(level[lit], 0.1))
         if high - low > best:
             risen = (place > place[k] * (1 - SHARP)) & (level > (low + high) / 2)
@@ -162,7 +162,7 @@ def _step(profile: Profile) -> float | None:
 
 
 def _profile(sonar_pass: SonarPass, crs: str) -> Profile | None:
-    """Collect the pixels near the track; None where there are too few."""
+    """Average the pixels near the track; None where there are too few."""
     parts = []
     for tile, window in _windows(sonar_pass, crs):
         try:

@@ -1,4 +1,4 @@
-"""Whether the sonar can have seen the tiles from its track, and from which line."""
+"""Checks that the sonar can have seen the tiles from its track, and assignment to lines."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from sasmap.survey.navigation import MIN_GRAZING, WGS84
 from sasmap.survey.passes import SonarPass, view
 from sasmap.survey.tiles import Tile, read_tile
 
-# Points along the longer side of a tile that stand for its pixels.
+# Points along the longer side of a tile that represent its pixels.
 POINTS = 64
-# A line saw a tile if it saw this share of what the best one saw; of two such the one alone within
-# this grazing angle, which few sonars go below: a range of 19 altitudes.
+# A line saw a tile if it saw this share of what the best line saw; of several such lines, the only
+# one above this grazing angle (a range of 19 altitudes, which few sonars exceed).
 SHARE, USUAL_GRAZING = 0.9, np.radians(3.0)
-# Grazing angle of a pass's farthest pixel above which altitude is no altitude, and above which it
-# is doubtful: side-looking sonars see far beyond their altitude, and what is nearer than one and a
-# half of it is cut off as a rule (altitude in feet beside ranges in metres gives 39 degrees).
+# Grazing angle of a pass's farthest pixel above which altitude is refused, and above which it is
+# doubtful: side-looking sonars see far beyond their altitude, and ranges under one and a half
+# altitudes are usually cut off (altitude in feet and ranges in metres give 39 degrees).
 STEEPEST, STEEP = np.radians(72.0), np.radians(35.0)
 # Grazing angle of its nearest pixel below which altitude is doubtful.
 LOW = np.radians(2.0)
-# Share of a tile's pixels beyond the ends of the line that is named, and pixels to one looked at.
+# Share of a tile's pixels beyond the ends of the line that causes a warning, and sampling step of
+# the check, pixels.
 MOST_LEFT_OUT, STRIDE = 0.1, 8
-# Distance of a track from a tile, m, beyond which something is mixed up.
+# Distance of a track from a tile, m, that indicates a mix-up: no sonar sees so far.
 FAR = 5000.0
-# Pixels that are read at once where a valid one is looked for.
+# Pixels read at once in the search for a valid one: bounds memory.
 CHECKED_PIXELS = 1_000_000
 
 
 class _Sight(NamedTuple):
-    """How a line sees points of a tile."""
+    """Visibility of a tile's points from a line."""
 
     grazing: FloatArray
     wanted: NDArray[np.bool_]  # on a side that the pass shows
@@ -44,7 +45,7 @@ class _Sight(NamedTuple):
 
 
 def _sight(sonar_pass: SonarPass, tile: Tile, crs: str) -> _Sight:
-    """How a track sees a coarse raster of a tile's pixels."""
+    """Visibility of a coarse raster of a tile's pixels from a track."""
     window = tile.window
     step = max(window.height, window.width) / POINTS
     row, column = np.meshgrid(
@@ -72,9 +73,9 @@ def assign_tiles(
     Parameters
     ----------
     lines : list of SonarPass
-        The pass as each line of its navigation would have seen it, with all tiles.
+        The pass as seen from each line of its navigation, with all tiles.
     labels : list of str
-        Where each line stands in the file.
+        Place of each line in the file.
     crs : str
         The survey's.
     warnings : list of str
@@ -88,7 +89,7 @@ def assign_tiles(
     Raises
     ------
     InputError
-        Where no line, or more than one, can have seen a tile; a line for each tile.
+        Where no line, or more than one, can have seen a tile; one message per tile.
     """
     faults: list[str] = []
     owned: dict[int, list[Tile]] = {}
@@ -101,8 +102,8 @@ def assign_tiles(
             told = " and ".join(labels[k] for k in near[:3])
             faults.append(
                 f"{tile.path}: {lines[0].navigation.name} holds {len(lines)} lines, and those of "
-                f"{told} can both have seen it: give each line a file and a pass of its own, with "
-                "the tiles it saw"
+                f"{told} can both have seen it: give each line its own file and pass, with "
+                "the tiles that it saw"
             )
         else:
             owned.setdefault(able[0] if len(able) == 1 else near[0], []).append(tile)
@@ -111,8 +112,8 @@ def assign_tiles(
     if len(lines) > 1:
         used = " and ".join(labels[k] for k in sorted(owned))
         warnings.append(
-            f"{lines[0].navigation}: holds {len(lines)} lines ({', '.join(labels[:9])}), parted at "
-            f"turns: tiles are taken as seen by {used}"
+            f"{lines[0].navigation}: holds {len(lines)} lines ({', '.join(labels[:9])}), split at "
+            f"turns: tiles are assigned to {used}"
         )
     several = len(owned) > 1
     return [
@@ -126,13 +127,13 @@ def assign_tiles(
 
 
 def _able(masks: list[NDArray[np.bool_]]) -> list[int]:
-    """Which lines saw about as much as the best."""
+    """Find the lines that saw about as much as the best."""
     counts = [int(mask.sum()) for mask in masks]
     return [k for k, count in enumerate(counts) if count and count >= SHARE * max(counts)]
 
 
 def _usual(sights: list[_Sight], able: list[int]) -> list[int]:
-    """Which of some lines saw a tile at usual grazing angles; all if none or several did."""
+    """Find the line that alone saw a tile at usual grazing angles; all if there is not one."""
     masks = [sights[k].wanted & (sights[k].grazing >= USUAL_GRAZING) for k in able]
     found = [able[k] for k in _able(masks)]
     return found or able
@@ -142,7 +143,7 @@ def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool, crs: str) -> str:
     if not abeam:
         return (
             f"{tile.path}: lies outside the navigation: no ping of {sonar_pass.navigation} "
-            "passes abeam of it within the range a sonar at that altitude can see"
+            "is abeam of it within the range of a sonar at that altitude"
             f"{_where_else(sonar_pass, tile, crs)}"
         )
     other = "port" if sonar_pass.sides == ("starboard",) else "starboard"
@@ -153,7 +154,7 @@ def _unseen(sonar_pass: SonarPass, tile: Tile, abeam: bool, crs: str) -> str:
 
 
 def _where_else(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
-    """Say how far away a track is, and what mix-up would bring it there."""
+    """Describe how far away a track is, and the mix-up that would explain it."""
     track = sonar_pass.track
     ping = np.array([np.median(track.x)]), np.array([np.median(track.y)])
     at = np.array([np.mean(v) for v in tile.outline_in(crs)])
@@ -175,7 +176,7 @@ def _where_else(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
 
 
 def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None:
-    """Refuse altitudes from which no sonar sees the ranges that the tiles have; name doubtful ones.
+    """Refuse altitudes that contradict the ranges of the tiles; warn about doubtful ones.
 
     Parameters
     ----------
@@ -192,11 +193,11 @@ def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None
     """
     sights = [_sight(sonar_pass, tile, crs) for tile in sonar_pass.tiles]
     grazing = np.concatenate([s.grazing[s.wanted] for s in sights])
-    if sonar_pass.slant:  # the sine, not the tangent; pixels nearer than the altitude are water
+    if sonar_pass.slant:  # sine instead of tangent; pixels nearer than the altitude are water
         sine = np.tan(grazing)
         grazing = np.arcsin(sine[sine < 1])
         if not grazing.size:
-            return  # no floor at all, which is told there
+            return  # no floor at all, which is reported elsewhere
     farthest, nearest = float(grazing.min()), float(grazing.max())
     middle = float(np.median(sonar_pass.track.altitude))
     start = f"{sonar_pass.navigation}: altitude: about {middle:.3g} m, but the tiles' "
@@ -219,7 +220,7 @@ def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None
 
 
 def shows_floor(sonar_pass: SonarPass, tile: Tile, crs: str) -> bool:
-    """Tell whether a pass shows a pixel of sea floor on a tile.
+    """Test whether a pass shows a pixel of sea floor on a tile.
 
     Parameters
     ----------
@@ -248,7 +249,7 @@ def shows_floor(sonar_pass: SonarPass, tile: Tile, crs: str) -> bool:
 
 
 def left_out(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
-    """Say which part of a tile's valid pixels no ping passes abeam of.
+    """Describe the part of a tile's valid pixels that no ping is abeam of.
 
     Parameters
     ----------
@@ -260,7 +261,7 @@ def left_out(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
     Returns
     -------
     str
-        A line; empty where the part is small.
+        A message; empty where the part is small.
 
     Raises
     ------
@@ -280,13 +281,13 @@ def left_out(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
         return ""
     return (
         f"{tile.path}: {lost / valid:.0%} of its pixels lie beyond the ends of the line of "
-        f"{sonar_pass.navigation}, abeam of no ping, and are left out: export the navigation of "
+        f"{sonar_pass.navigation}, not abeam of any ping, and are left out: export navigation of "
         "the whole line"
     )
 
 
 def _bands(whole: Window) -> Iterator[Window]:
-    """All of a tile, some rows at a time."""
+    """Windows of some rows that cover a tile."""
     rows = max(1, CHECKED_PIXELS // max(whole.width, 1))
     for row in range(0, whole.height, rows):
         yield Window(row, 0, min(rows, whole.height - row), whole.width)

@@ -1,8 +1,8 @@
-"""Beds with short crests, defects and several directions: found, and with which wavelength.
+"""Detection and wavelength on random seas: short crests, defects and several directions.
 
-    python pipelines/ripples/beds.py [--cells 40] [--size 300] [--first 0]
+    python pipelines/ripples/seas.py [--cells 40] [--size 300] [--first 0]
 
-Heights are Gaussian random seas with the spectra that surveyed dunes have (a band of wavelengths
+Heights are Gaussian random seas with the spectra of surveyed dunes (a band of wavelengths
 about a peak, directions spread about one or two), not sums of a phase: crests are short, fork and
 end everywhere. They are rendered by the coherent simulator. For each kind of bed the share of cells
 where ripples are found, and the wavelength over that of the spectrum's peak.
@@ -55,7 +55,7 @@ class Bed(SeaFloor):
 
     @property
     def relief(self) -> float:
-        """No point is farther from the mean, m."""
+        """Upper bound of the height over or under the mean, m."""
         return float(np.abs(self._parts[1]).sum())
 
 

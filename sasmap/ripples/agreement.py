@@ -1,0 +1,170 @@
+"""Which looks at a cell agree with each other."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.information import Information, moments
+from sasmap.ripples.looks import (
+    LAW,
+    Looks,
+    law_factor,
+    steepness_factor,
+    with_scatter,
+    without_scatter,
+)
+from sasmap.ripples.survey import SurveyModel, with_prior
+
+FloatArray = NDArray[np.float64]
+
+# Squared Mahalanobis distance (chi-squared with 3 degrees of freedom) beyond which two looks
+# contradict each other: exceeded by one consistent pair in two thousand.
+LIMIT = 17.7
+# Most looks of which every group is tried; of more, one at a time is dropped (bounds the time).
+MOST_TRIED = 10
+# Least weight of the components that are compared between looks (a choice).
+SLIGHT = 0.02
+
+
+def distances_of(
+    looks: Looks, survey: SurveyModel, steepness: tuple[float, float], cells: int
+) -> tuple[list[dict[tuple[int, int], float]], list[dict[int, float]]]:
+    """Squared distance of each pair of looks at a cell, and log volume of each look's covariance.
+
+    An error of the law moves both looks at a cell alike, so the difference has only the remaining
+    error. The distance is that of the nearest components.
+
+    Parameters
+    ----------
+    looks : Looks
+    survey : SurveyModel
+    steepness : tuple of float
+        Prior of crest to trough over wavelength: median and log standard deviation.
+    cells : int
+        Number of cells.
+
+    Returns
+    -------
+    distances : list of dict of (swath, swath) to float
+        Of each cell.
+    volumes : list of dict of swath to float
+    """
+    middle = survey.middle
+    scatter = np.broadcast_to(middle.scatter, (looks.cell.size, 3))
+    there = without_scatter(looks, middle)
+    plain, factor = (with_scatter(there, middle, s) for s in (0 * scatter, scatter))
+    prior = law_factor(survey.widest, looks.with_law)
+    prior = with_prior(prior, steepness_factor(factor.linear.shape[-1], steepness))
+    single = moments(with_prior(plain, prior))
+    heavy = single[0] - single[0].max(axis=1, keepdims=True) > np.log(SLIGHT)
+    volume = np.linalg.slogdet(single[2][..., :3, :3])[1]
+    volume = np.where(heavy, volume, -np.inf).max(axis=1)
+    distances: list[dict[tuple[int, int], float]] = [{} for _ in range(cells)]
+    volumes: list[dict[int, float]] = [{} for _ in range(cells)]
+    order = np.argsort(looks.cell, kind="stable")
+    pairs: list[tuple[int, int]] = []
+    for rows in np.split(order, np.flatnonzero(np.diff(looks.cell[order])) + 1):
+        for r in rows:
+            volumes[looks.cell[r]][int(looks.swath[r])] = float(volume[r])
+        pairs += combinations(sorted(rows, key=lambda r: looks.swath[r]), 2)
+    if pairs:
+        a, b = np.array(pairs).T
+        found = _apart(factor, prior, heavy, a, b)
+        for i, j, d in zip(a, b, found, strict=True):
+            distances[looks.cell[i]][int(looks.swath[i]), int(looks.swath[j])] = float(d)
+    return distances, volumes
+
+
+def _apart(
+    factor: Information,
+    prior: Information,
+    heavy: NDArray[np.bool_],
+    a: NDArray[np.int64],
+    b: NDArray[np.int64],
+) -> FloatArray:
+    """Squared distance of pairs of looks (pairs,), given a common law."""
+    both = [Information(*(v[rows] for v in factor)) for rows in (a, b)]
+    ours = [given_law(one) for one in both]
+    k = factor.level.shape[1]
+    best = np.full(len(a), np.inf)
+    for i in range(k):
+        for j in range(k):
+            (m1, s1, c1, p1, l1), (m2, s2, c2, p2, l2) = (
+                tuple(v[:, n] for v in one) for one, n in zip(ours, (i, j), strict=True)
+            )
+            offset, noise = m1 - m2, c1 + c2
+            if s1.shape[-1]:
+                law = np.linalg.inv(prior.precision[0, LAW, LAW] + p1 + p2)
+                at = np.einsum("nij,nj->ni", law, prior.linear[0, LAW] + l1 + l2)
+                slope = s1 - s2
+                offset = offset + np.einsum("nij,nj->ni", slope, at)
+                noise = noise + slope @ law @ np.swapaxes(slope, -1, -2)
+            solved = np.linalg.solve(noise, offset[..., None])[..., 0]
+            square = (offset * solved).sum(axis=1)
+            best = np.minimum(best, np.where(heavy[a, i] & heavy[b, j], square, np.inf))
+    return best
+
+
+def given_law(
+    factor: Information,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Express log f, log A_H and azimuth as linear functions of the law.
+
+    Parameters
+    ----------
+    factor : Information (..., K)
+
+    Returns
+    -------
+    mean : ndarray (..., K, 3)
+        For a law of zeros.
+    slope : ndarray (..., K, 3, 2)
+    covariance : ndarray (..., K, 3, 3)
+    precision : ndarray (..., K, 2, 2)
+        Of the law, the rest integrated out.
+    linear : ndarray (..., K, 2)
+    """
+    precision, linear = factor.precision, factor.linear
+    covariance: FloatArray = np.asarray(np.linalg.inv(precision[..., :3, :3]), float)
+    mean = np.einsum("...ij,...j->...i", covariance, linear[..., :3])
+    cross = precision[..., :3, 3:]
+    slope = -covariance @ cross
+    own = precision[..., 3:, 3:] + np.swapaxes(cross, -1, -2) @ slope
+    left = linear[..., 3:] - np.einsum("...ji,...j->...i", cross, mean)
+    return mean, slope, covariance, own, left
+
+
+def agreeing(distances: dict[tuple[int, int], float], volumes: dict[int, float]) -> tuple[int, ...]:
+    """Return the largest group of mutually agreeing looks; of equals the most precise one.
+
+    Parameters
+    ----------
+    distances : dict of (swath, swath) to float
+    volumes : dict of swath to float
+        As of :func:`distances_of`, of one cell.
+
+    Returns
+    -------
+    tuple of int
+        Swaths.
+    """
+    every = tuple(sorted(volumes))
+    agree = {pair: d <= LIMIT for pair, d in distances.items()}
+
+    def good(group: tuple[int, ...]) -> bool:
+        return all(agree[pair] for pair in combinations(group, 2))
+
+    while len(every) > MOST_TRIED and not good(every):
+        friends = {k: sum(agree[p] for p in combinations(every, 2) if k in p) for k in every}
+        lonely = min(every, key=lambda k: (friends[k], k))
+        every = tuple(k for k in every if k != lonely)
+    if good(every):
+        return every
+    for size in range(len(every) - 1, 0, -1):
+        groups = [g for g in combinations(every, size) if good(g)]
+        if groups:
+            return min(groups, key=lambda g: sum(volumes[k] for k in g))
+    return ()

@@ -1,0 +1,118 @@
+"""Estimate of a cell, and its statistics from a mixture over log f, log A_H and azimuth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.derived import UNKNOWN as UNDERIVED
+from sasmap.ripples.derived import Derived
+from sasmap.ripples.mixture import Marginal, marginals
+from sasmap.ripples.settings import RippleSettings
+from sasmap.ripples.summary import NAN, Summary
+
+FloatArray = NDArray[np.float64]
+
+# Least weight of the components of a cell's estimate: less changes no digit of the products.
+NEGLIGIBLE = 1e-4
+
+
+@dataclass(frozen=True)
+class CellEstimate:
+    """Estimate of a cell.
+
+    Attributes
+    ----------
+    mean, sd, q05, q95 : tuple of float
+        Of f (cycles/m) and A_H (m).
+    azimuth : tuple of float
+        Axial mean (0 to 180) and standard deviation, degrees.
+    derived : Derived
+        Wavelength and steepness.
+    """
+
+    mean: tuple[float, float] = (NAN, NAN)
+    sd: tuple[float, float] = (NAN, NAN)
+    q05: tuple[float, float] = (NAN, NAN)
+    q95: tuple[float, float] = (NAN, NAN)
+    azimuth: tuple[float, float] = (NAN, NAN)
+    derived: Derived = UNDERIVED
+
+
+UNKNOWN = CellEstimate()
+# The flat prior of a first look.
+FLAT = CellEstimate(sd=(float("inf"),) * 2, azimuth=(NAN, float("inf")))
+
+
+def estimates(
+    level: FloatArray, mean: FloatArray, covariance: FloatArray, settings: RippleSettings
+) -> list[CellEstimate]:
+    """Summarise mixtures over log f, log A_H and azimuth.
+
+    Parameters
+    ----------
+    level : ndarray (cells, K)
+        Log weights.
+    mean : ndarray (cells, K, 3)
+    covariance : ndarray (cells, K, 3, 3)
+    settings : RippleSettings
+
+    Returns
+    -------
+    list of CellEstimate
+    """
+    weight = np.exp(level - level.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    # negligible components are dropped
+    weight[weight < NEGLIGIBLE] = 0.0
+    last = int((weight > 0).sum(axis=1).max())
+    heavy = np.argsort(-weight, axis=1, kind="stable")[:, :last]
+    weight = np.take_along_axis(weight, heavy, 1)
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = np.take_along_axis(mean, heavy[..., None], 1)
+    covariance = np.take_along_axis(covariance, heavy[..., None, None], 1)
+    variance = np.diagonal(covariance, axis1=2, axis2=3)
+    with np.errstate(divide="ignore"):
+        bounds = np.log([settings.frequency, settings.height])
+    # f is far better known than A_H, whose bounds are those of the steepness at the cell's f
+    steep = np.log(2) + (weight * mean[..., 0]).sum(axis=1) + bounds[1][:, None]
+    ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
+    logs = [
+        (mean[..., 0], variance[..., 0], bounds[0]),
+        (mean[..., 1], variance[..., 1], bounds[1]),
+        (np.log(2) + mean[..., 0] + mean[..., 1], ratio, steep),
+        (-mean[..., 0], variance[..., 0], -bounds[0][::-1]),
+    ]
+    found = [marginals(weight, m, np.sqrt(np.maximum(v, 1e-20)), b) for m, v, b in logs]
+    turn = (weight * mean[..., 2]).sum(axis=1)
+    spread = (weight * (variance[..., 2] + (mean[..., 2] - turn[:, None]) ** 2)).sum(axis=1)
+    return [
+        CellEstimate(
+            mean=_pair(found, "mean", i),
+            sd=_pair(found, "sd", i),
+            q05=_pair(found, "q05", i),
+            q95=_pair(found, "q95", i),
+            azimuth=(float(turn[i] % 180), float(np.sqrt(spread[i]))),
+            derived=_derived(found, i),
+        )
+        for i in range(len(level))
+    ]
+
+
+def _pair(found: list[Marginal], name: str, i: int) -> tuple[float, float]:
+    """Return a statistic of f and of A_H."""
+    return float(getattr(found[0], name)[i]), float(getattr(found[1], name)[i])
+
+
+def _derived(found: list[Marginal], i: int) -> Derived:
+    mean, sd, q05, q95 = (float(values[i]) for values in found[2])
+    length = found[3]
+    return Derived((float(length.mean[i]), float(length.sd[i])), (mean, sd, q05, q95))
+
+
+def of_summary(summary: Summary) -> CellEstimate:
+    """Return the estimate from a look alone."""
+    s = summary
+    return CellEstimate(s.mean, s.sd, s.q05, s.q95, s.azimuth, s.derived)
