@@ -1,0 +1,56 @@
+"""What a pixel is worth where the model errs."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from sasmap.ripples.fit import Fit, bin_weights
+from sasmap.ripples.optimise import fisher_scoring, search
+from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
+
+BINS, PIXEL = 48, 0.03
+
+
+def fit_of(groups, misfit, rigid=True):
+    """A fit to shallow ripples whose intensity is off by a factor (groups, bins)."""
+    reach = 12.0 + 0.5 * np.arange(4 * groups)
+    where = geometry(0.6, float(reach.mean()), 6.0, expected_blur=0.03)
+    group = np.repeat(np.arange(groups), 4).astype(np.int64)
+    truth = ripple(0.02, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
+    data = noiseless(truth, empty(reach, 6.0, bins=BINS, count=500.0, group=group), where)
+    peak = fisher_scoring(search(data, where)[0].z, data, where)
+    data = data._replace(intensity_sum=data.intensity_sum * misfit[group])
+    phase = SimpleNamespace(rigid=rigid)
+    return Fit(phase, None, data, where, [peak])
+
+
+def worth(fit):
+    """Independent pixels that the clip is worth."""
+    return float((bin_weights(fit, 1.0, PIXEL) * fit.data.pixel_count).sum())
+
+
+def test_without_misfit_more_ranges_tell_more():
+    few, many = (worth(fit_of(n, np.ones((n, BINS)))) for n in (4, 12))
+    assert many > 1.7 * few  # what displaces the pulse is shared
+
+
+def test_a_misfit_that_all_ranges_share_counts_once():
+    wave = 1 + 0.2 * np.cos(2 * np.pi * 5 * (np.arange(BINS) + 0.5) / BINS)
+    few, many = (worth(fit_of(n, np.tile(wave, (n, 1)))) for n in (4, 12))
+    assert many < 1.3 * few
+    assert many < 0.2 * worth(fit_of(12, np.ones((12, BINS))))
+
+
+def test_a_misfit_of_each_range_averages_out():
+    rng = np.random.default_rng(2)
+    misfit = np.repeat(1 + 0.2 * rng.choice([-1.0, 1.0], (12, 16)), 3, axis=1)
+    few, many = (worth(fit_of(n, misfit[:n])) for n in (4, 12))
+    assert many > 2 * few
+
+
+def test_edges_of_a_pulse_tell_less_where_crests_bend():
+    straight, bent = (
+        bin_weights(fit_of(6, np.ones((6, BINS)), rigid), 1.0, PIXEL) for rigid in (True, False)
+    )
+    assert (bent <= straight).all()
+    assert bent.min() < 0.5 * bent.max()  # flanks less than crests
