@@ -395,7 +395,7 @@ def _classes(
     if not surface.shown(workers):
         return None
     if known is None:
-        return find_classes(looks, count, workers)
+        return find_classes(looks, count, workers, surface.rippled)
     if known.laws:
         found = carry_over(looks, known.laws, known.centre, workers)
         return replace(found, texture=known.texture)
