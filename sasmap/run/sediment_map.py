@@ -296,6 +296,7 @@ def map_sediments(
         _classify(surface, classes, part, kept, label, confidence)
 
     deque(mapped(classify, surface.blocks(SIDE), workers), 0)
+    label = _without_crests(surface, label, canvas("beds", "uint8"), workers)
     # a pixel's log odds by texture are those of a window: a boundary may count them but once
     step = STEP if classes.texture is None else STEP / SHARED
     layers = [Quantised(layer, step) for layer in kept]
@@ -327,6 +328,23 @@ def _without_small(
     def one(part: Part) -> None:
         wide, inner = surface.around(part, margin)
         result[part] = sieved(label[wide], least, wide == surface.whole)[inner]
+
+    deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
+    return result
+
+
+def _without_crests(surface: Surface, label: Canvas, result: Canvas, workers: Workers) -> Canvas:
+    """Give single crests and troughs that differ from their bed to it, block by block."""
+    margin = int(2 * np.sqrt(FEWEST_RIPPLED))
+
+    def one(part: Part) -> None:
+        wide, inner = surface.around(part, margin)
+        rippled = surface.rippled[wide] > 0
+        if rippled.any():
+            beds = sieved(label[wide], FEWEST_RIPPLED, wide == surface.whole, rippled)
+            result[part] = beds[inner]
+        else:
+            result[part] = label[part]
 
     deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
     return result

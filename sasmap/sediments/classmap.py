@@ -156,7 +156,10 @@ def class_map(
 
 
 def sieved(
-    label: NDArray[np.uint8], smallest: float = SMALLEST, whole: bool = True
+    label: NDArray[np.uint8],
+    smallest: float = SMALLEST,
+    whole: bool = True,
+    among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.uint8]:
     """Give patches of too few pixels to the class that is nearest.
 
@@ -168,13 +171,18 @@ def sieved(
         Pixels of the smallest patch that stays.
     whole : bool
         Whether patches end at the edges; where not, those that touch them stay.
+    among : ndarray of bool (rows, columns), optional
+        Pixels that half of such a patch lies on, at least. Default all.
 
     Returns
     -------
     ndarray of uint8 (rows, columns)
     """
     parts = measure_label(label, background=0, connectivity=1)
-    few = np.bincount(parts.ravel()) < smallest
+    size = np.bincount(parts.ravel())
+    few = size < smallest
+    if among is not None:
+        few &= np.bincount(parts[among], minlength=size.size) >= 0.5 * size
     if not whole:
         for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
             few[edge] = False
