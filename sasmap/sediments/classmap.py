@@ -97,6 +97,34 @@ def _with_texture(
     return result
 
 
+def averaged(
+    likelihood: NDArray[np.float32], mask: NDArray[np.bool_], side: int
+) -> NDArray[np.float32]:
+    """Average log likelihoods over squares, of what is marked and where it is.
+
+    Parameters
+    ----------
+    likelihood : ndarray (classes, rows, columns)
+        NaN where no look shows a pixel.
+    mask : ndarray of bool (rows, columns)
+    side : int
+        Pixels.
+
+    Returns
+    -------
+    ndarray (classes, rows, columns)
+    """
+    there = mask & np.isfinite(likelihood[0])
+    if not there.any():
+        return likelihood
+    share = np.maximum(uniform_filter(there.astype(np.float32), side, mode="constant"), 1e-6)
+    result = likelihood.copy()
+    for k, values in enumerate(likelihood):
+        sums = uniform_filter(np.where(there, values, np.float32(0)), side, mode="constant")
+        result[k][there] = (sums / share)[there]
+    return result
+
+
 def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:
     """Take the best class off log likelihoods (classes, rows, columns); 0 where unknown."""
     level: NDArray[np.float32] = likelihood - likelihood.max(axis=0)
