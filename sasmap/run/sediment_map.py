@@ -21,7 +21,7 @@ from sasmap.run.class_models import ClassModel
 from sasmap.run.sediment_surface import Ground, Part, Surface, lay
 from sasmap.sediments.carrying import carry_over
 from sasmap.sediments.classes import Classes
-from sasmap.sediments.classmap import below_best, class_map, log_likelihoods, sieved
+from sasmap.sediments.classmap import averaged, below_best, class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, traced
 from sasmap.sediments.segmentation import find_classes
@@ -38,6 +38,9 @@ OBJECT, CERTAIN = "object", 0.9
 PROBABILITY = 0.002
 # Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
 FEWEST_RIPPLED = 4096
+# Pixels a side over which rippled floor is classed by its average: one to three wavelengths, half
+# of the longest. Speckle of troughs in shadow is noise, whose law is no sediment's.
+WAVES = 2 * HALO + 1
 # Bins of a class's amplitudes in the report; blocks that they are of, at most, and their pixels a
 # side.
 BINS, DRAWN, DRAWN_SIDE = 40, 24, 256
@@ -296,6 +299,7 @@ def map_sediments(
         _classify(surface, classes, part, kept, label, confidence)
 
     deque(mapped(classify, surface.blocks(SIDE), workers), 0)
+    label = _without_crests(surface, label, canvas("beds", "uint8"), workers)
     # a pixel's log odds by texture are those of a window: a boundary may count them but once
     step = STEP if classes.texture is None else STEP / SHARED
     layers = [Quantised(layer, step) for layer in kept]
@@ -327,6 +331,23 @@ def _without_small(
     def one(part: Part) -> None:
         wide, inner = surface.around(part, margin)
         result[part] = sieved(label[wide], least, wide == surface.whole)[inner]
+
+    deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
+    return result
+
+
+def _without_crests(surface: Surface, label: Canvas, result: Canvas, workers: Workers) -> Canvas:
+    """Give single crests and troughs that differ from their bed to it, block by block."""
+    margin = int(2 * np.sqrt(FEWEST_RIPPLED))
+
+    def one(part: Part) -> None:
+        wide, inner = surface.around(part, margin)
+        rippled = surface.rippled[wide] > 0
+        if rippled.any():
+            beds = sieved(label[wide], FEWEST_RIPPLED, wide == surface.whole, rippled)
+            result[part] = beds[inner]
+        else:
+            result[part] = label[part]
 
     deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
     return result
@@ -380,7 +401,8 @@ def _classify(
     """Classify one block of pixels, with those around it in view."""
     wide, inner = surface.around(part, HALO if classes.texture is None else HALO + MARGIN)
     likelihood = log_likelihoods(surface.part(wide, classes.ranged), classes)
-    found = class_map(likelihood, len(classes.laws), whole=wide == surface.whole)
+    bed = averaged(likelihood, surface.rippled[wide] > 0, WAVES)
+    found = class_map(bed, len(classes.laws), whole=wide == surface.whole)
     for layer, values in zip(kept, _quantised(likelihood[:, *inner]), strict=True):
         layer[part] = values
     label[part] = found.label[inner]
@@ -395,7 +417,7 @@ def _classes(
     if not surface.shown(workers):
         return None
     if known is None:
-        return find_classes(looks, count, workers)
+        return find_classes(looks, count, workers, surface.rippled)
     if known.laws:
         found = carry_over(looks, known.laws, known.centre, workers)
         return replace(found, texture=known.texture)

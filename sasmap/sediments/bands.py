@@ -27,6 +27,8 @@ Index = NDArray[np.int64]
 WIDTH, HELD, MOST = 0.01, 12, 200
 # Blocks apart, at most, of pairs that tell the gain.
 LAGS = 3
+# The same where blocks of steep gain are left out in between: as wide as two steps of it are.
+FAR = 8
 # Mean difference in log cotangent from which two looks see a block differently: 10 % of range.
 DIFFERENT = 0.1
 # Share of a look's blocks that another look must see as well to be told by.
@@ -146,7 +148,9 @@ def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: B
         return values
     place = bands.place(block)
     at, bins = _binned([block._replace(place=place, known=known.astype(float))])
-    gain = np.nan_to_num(_solved(*_across(bins[0], np.where(known, values, 0.0), known), at.size))
+    gain = np.nan_to_num(
+        _solved(*_across(bins[0], np.where(known, values, 0.0), known, FAR), at.size)
+    )
     return np.asarray(values - np.interp(place, at, gain))
 
 
@@ -276,7 +280,7 @@ def _binned(blocks: Sequence[Blocks]) -> tuple[FloatArray, list[Index]]:
 
 
 def _across(
-    bins: Index, level: FloatArray, known: NDArray[np.bool_]
+    bins: Index, level: FloatArray, known: NDArray[np.bool_], lags: int = LAGS
 ) -> tuple[Index, Index, FloatArray]:
     """Bins of near blocks of unlike range, and by how much their levels differ."""
     first, second, change = [], [], []
@@ -286,7 +290,7 @@ def _across(
             np.moveaxis(level, axis, 0),
             np.moveaxis(known, axis, 0),
         )
-        for lag in range(1, LAGS + 1):
+        for lag in range(1, lags + 1):
             both = k[lag:] & k[:-lag] & (b[lag:] != b[:-lag])
             first.append(b[lag:][both])
             second.append(b[:-lag][both])

@@ -97,6 +97,34 @@ def _with_texture(
     return result
 
 
+def averaged(
+    likelihood: NDArray[np.float32], mask: NDArray[np.bool_], side: int
+) -> NDArray[np.float32]:
+    """Average log likelihoods over squares, of what is marked and where it is.
+
+    Parameters
+    ----------
+    likelihood : ndarray (classes, rows, columns)
+        NaN where no look shows a pixel.
+    mask : ndarray of bool (rows, columns)
+    side : int
+        Pixels.
+
+    Returns
+    -------
+    ndarray (classes, rows, columns)
+    """
+    there = mask & np.isfinite(likelihood[0])
+    if not there.any():
+        return likelihood
+    share = np.maximum(uniform_filter(there.astype(np.float32), side, mode="constant"), 1e-6)
+    result = likelihood.copy()
+    for k, values in enumerate(likelihood):
+        sums = uniform_filter(np.where(there, values, np.float32(0)), side, mode="constant")
+        result[k][there] = (sums / share)[there]
+    return result
+
+
 def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:
     """Take the best class off log likelihoods (classes, rows, columns); 0 where unknown."""
     level: NDArray[np.float32] = likelihood - likelihood.max(axis=0)
@@ -156,7 +184,10 @@ def class_map(
 
 
 def sieved(
-    label: NDArray[np.uint8], smallest: float = SMALLEST, whole: bool = True
+    label: NDArray[np.uint8],
+    smallest: float = SMALLEST,
+    whole: bool = True,
+    among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.uint8]:
     """Give patches of too few pixels to the class that is nearest.
 
@@ -168,13 +199,18 @@ def sieved(
         Pixels of the smallest patch that stays.
     whole : bool
         Whether patches end at the edges; where not, those that touch them stay.
+    among : ndarray of bool (rows, columns), optional
+        Pixels that half of such a patch lies on, at least. Default all.
 
     Returns
     -------
     ndarray of uint8 (rows, columns)
     """
     parts = measure_label(label, background=0, connectivity=1)
-    few = np.bincount(parts.ravel()) < smallest
+    size = np.bincount(parts.ravel())
+    few = size < smallest
+    if among is not None:
+        few &= np.bincount(parts[among], minlength=size.size) >= 0.5 * size
     if not whole:
         for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
             few[edge] = False

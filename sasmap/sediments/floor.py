@@ -94,6 +94,22 @@ def blocks_in(part: Part) -> Part:
     )
 
 
+def blocks_shown(mask: Any, workers: Workers = 1) -> NDArray[np.bool_]:
+    """Blocks that are mostly marked (above 0) in a raster whose slices are read."""
+    result = np.zeros([n // BLOCK for n in mask.shape], bool)
+    every = tiles(mask.shape)
+
+    def share(part: Part) -> NDArray[np.float64]:
+        values = np.asarray(mask[part]) > 0
+        rows, columns = (n // BLOCK for n in values.shape)
+        values = values[: rows * BLOCK, : columns * BLOCK]
+        return np.asarray(values.reshape(rows, BLOCK, columns, BLOCK).mean(axis=(1, 3)))
+
+    for part, found in zip(every, mapped(share, every, workers), strict=True):
+        result[blocks_in(part)] = found > 0.5
+    return result
+
+
 def gather(
     looks: Sequence[AmplitudeGrid], centre: float | None, workers: Workers = 1
 ) -> tuple[list[Blocks], float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled, steep
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, levels, noise_factor
 from sasmap.sediments.description import BlockTexture, gain_of
 from sasmap.sediments.fitting import Law
-from sasmap.sediments.floor import Flat, Part, around, chosen_tiles, gather, tiles
+from sasmap.sediments.floor import Flat, Part, around, blocks_shown, chosen_tiles, gather, tiles
 from sasmap.sediments.grouping import grouped, pruned, textured_groups
 from sasmap.sediments.separation import (
     TOLD,
@@ -49,6 +49,11 @@ APART = 0.02
 DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 3_000_000, 256
 # Gain by range that surely moves classes: log amplitude from the least to the greatest (1.7 dB).
 PLAIN = 0.2
+# Share of each look's blocks that must be free of ripples to tell the gain by themselves.
+LEVEL = 0.2
+
+
+Dark = NDArray[np.bool_]
 
 
 @dataclass
@@ -61,6 +66,7 @@ class _Survey:
     bands: Bands | None
     factor: float
     workers: Workers
+    rippled: Dark | None = None
     texture: BlockTexture | None = None
 
     def flat(self, trends: FloatArray, bands: Bands | None) -> list[Flat]:
@@ -82,9 +88,6 @@ class _Survey:
         return described, self.texture.shown
 
 
-Dark = NDArray[np.bool_]
-
-
 class _Found(NamedTuple):
     """One way of grouping a survey's blocks."""
 
@@ -97,7 +100,10 @@ class _Found(NamedTuple):
 
 
 def find_classes(
-    looks: Sequence[AmplitudeGrid], count: int | None = None, workers: Workers = 1
+    looks: Sequence[AmplitudeGrid],
+    count: int | None = None,
+    workers: Workers = 1,
+    rippled: Any = None,
 ) -> Classes:
     """Find the classes of a survey.
 
@@ -111,6 +117,9 @@ def find_classes(
         How many; found where not given.
     workers : int, None or callable
         Threads, or what spreads work.
+    rippled : array (rows, columns), optional
+        Above 0 where ripples were taken off. What these leave makes no sediments: texture there
+        counts for nothing. Slices are read.
 
     Returns
     -------
@@ -123,9 +132,10 @@ def find_classes(
     """
     blocks, centre = gather(looks, None, workers)
     factor = noise_factor(looks, blocks)
-    bands = find_bands(blocks, first_trends(blocks)) if count != 1 else None
+    beds = None if rippled is None else blocks_shown(rippled, workers)
+    bands = find_bands(_level_ones(blocks, beds), first_trends(blocks)) if count != 1 else None
     bands = None if bands is None or bands.span < SLIGHT else bands
-    survey = _Survey(looks, blocks, centre, bands, factor, workers)
+    survey = _Survey(looks, blocks, centre, bands, factor, workers, beds)
     found = _found(survey, None if bands is not None else count, None)
     if bands is not None:
         if len(found.laws) > 1:
@@ -136,6 +146,21 @@ def find_classes(
         if count is not None and len(found.laws) != count:
             found = _found(survey, count, found.bands)
     return _finished(survey, found if count is not None else _without_drift(survey, found))
+
+
+def _level_ones(blocks: list[Blocks], beds: Dark | None) -> list[Blocks]:
+    """Blocks without ripples, if there are enough to tell the gain.
+
+    Shadow and slopes of ripples make a bed's mean amplitude go with range in a way of its own.
+    """
+    if beds is None:
+        return blocks
+    level = [b._replace(known=np.where(beds, 0.0, b.known)) for b in blocks]
+    left = [
+        (a.known > 0).sum() >= LEVEL * (b.known > 0).sum()
+        for a, b in zip(level, blocks, strict=True)
+    ]
+    return level if all(left) else blocks
 
 
 def _without_drift(survey: _Survey, found: _Found) -> _Found:
@@ -175,6 +200,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     labels, _ = merged(flat, labels, count or 1, factor, APART)
     labels = pruned(labels, count or 1)
     unclear = dark if bands is None else dark | steep(bands, blocks)
+    unclear = unclear if survey.rippled is None else unclear | survey.rippled
     described, shown = survey.described(labels, trends, bands, unclear)
     textured, mixed = textured_groups(described, shown, labels, unclear, count)
     labels, laws = merged(flat, labels, count or 1, factor, APART if count is None else np.inf)

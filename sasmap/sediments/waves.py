@@ -3,19 +3,22 @@
 Ripples are taken off without a model of them: where the local spectrum holds a wave, the image of
 log intensity is demodulated by it, pixels are folded by the phase so found, and the mean profile,
 a few harmonics of it, is subtracted. Shadow of the ripples is a part of the profile and so of the
-bed; a profile has no level, so sediments keep theirs. Nothing is asked of the cells that ripples
-are estimated in.
+bed; a profile has no level, so sediments keep theirs. Where crests turn, fork or cross others no
+one profile holds: what it leaves at the scale of the ripples is subtracted as well, down to what
+speckle has. Nothing is asked of the cells that ripples are estimated in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
+from math import hypot
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, irfft2, next_fast_len, rfft2
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -30,8 +33,12 @@ LATTICE, MARGIN = COARSE * WINDOWS[-1] // 2, COARSE * WINDOWS[-1]
 SHORTEST, FEWEST = 5.0, 4
 # Power of a wave over the median of its ring. Speckle's powers are exponential: its highest of 4000
 # is 12 medians, and one window in a million reaches 30; recorded and simulated ripples have 200 up.
-# An edge has no more at a wave number than at half of it, in the same direction.
-STANDS_OUT, RISES = 40.0, 2.0
+# An edge has a quarter as much at a wave number as at half of it, in the same direction, a soft one
+# up to twice as much. Forked crests in a window of eight had but 1.4 times as much: they need a
+# window beside them of nearly the same wave (by the share of its wave number) that is no edge.
+STANDS_OUT, RISES, BESIDE = 40.0, (1.0, 2.0), 0.4
+# Shares of a wave number of which it may be the overtone.
+WITHIN = (1.0, 1 / 2, 1 / 3)
 # Share of a window that must be known; windows whose spectra are computed at once.
 KNOWN, AT_ONCE = 0.25, 64
 # Widths (standard deviation, in wavelengths across and along the crests) over which the phase, the
@@ -43,6 +50,11 @@ HARMONICS = 6
 EXPLAINED, LEAST, STRONGEST = 0.7, 0.15, 2.0
 # Of intensity over the local mean: the least that is kept (20 dB down there is noise alone).
 FLOOR = 0.01
+# Averaged pixels (standard deviation) over which what a profile leaves is smoothed, and widths, in
+# wavelengths, over which it is judged how much of that is more than speckle.
+REST, JUDGED = 1.0, (0.5, 0.5)
+# Radius, in wavelengths, of holes that are closed in what is rippled, and of patches that stay.
+CLOSED, OPENED = 1.0, 0.5
 
 
 class Waves(NamedTuple):
@@ -76,18 +88,11 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
         Of what is asked.
     """
     inner = inner or (slice(0, amplitude.shape[0]), slice(0, amplitude.shape[1]))
-    asked = tuple(slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
+    rows, columns = (slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
     level, known = coarse(amplitude)
     profile, weight, rippled = (np.zeros(level.shape, np.float32) for _ in range(3))
     for size in WINDOWS:
-        every = [
-            part
-            for part in _windows(level.shape, size)
-            if all(p.start < a.stop and p.stop > a.start for p, a in zip(part, asked, strict=True))
-        ]
-        for part, wave in zip(every, _waves(level, known, every, size), strict=True):
-            if wave is None:
-                continue  # what holds few ripples tells nothing of those that others find in it
+        for part, wave in _waves_about(level, known, (rows, columns), size):
             taper = np.hanning(size + 2)[1:-1].astype(np.float32)
             height, width = (s.stop - s.start for s in part)
             hat = np.outer(taper[:height], taper[:width])
@@ -98,9 +103,9 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
     shape = tuple(s.stop - s.start for s in inner)
     if not rippled.any():
         return Waves(np.zeros(shape, np.float32), np.zeros(shape, bool))
-    weight = np.maximum(weight, 1e-9)
-    mask = (rippled / weight > 0.5) & (known > 0)
-    fine = _fine(profile / weight, inner)
+    mask = (rippled > 0.5 * np.maximum(weight, 1e-9)) & (known > 0)
+    # as those windows see it that find ripples there
+    fine = _fine(np.where(mask, profile / np.maximum(rippled, 1e-9), 0), inner)
     whole = np.repeat(np.repeat(mask, COARSE, axis=0), COARSE, axis=1)
     padded = np.zeros(amplitude.shape, bool)
     padded[: whole.shape[0], : whole.shape[1]] = whole
@@ -130,11 +135,52 @@ def _windows(shape: tuple[int, ...], size: int) -> list[tuple[slice, slice]]:
     ]
 
 
+class _Wave(NamedTuple):
+    """Wave number (cycles per averaged pixel, down and across), and its power over the half's."""
+
+    down: float
+    across: float
+    rise: float
+
+    @property
+    def number(self) -> tuple[float, float]:
+        return self.down, self.across
+
+    def like(self, other: _Wave) -> bool:
+        """Whether another wave is nearly the same."""
+        apart = hypot(self.down - other.down, self.across - other.across)
+        mirrored = hypot(self.down + other.down, self.across + other.across)
+        return min(apart, mirrored) <= BESIDE * hypot(*other.number)
+
+
+def _waves_about(
+    level: FloatArray, known: FloatArray, asked: Part, size: int
+) -> Iterator[tuple[Part, tuple[float, float]]]:
+    """Yield the windows that see what is asked, and their waves, where they have one.
+
+    What holds few ripples tells nothing of those that others find in it.
+    """
+    every = _windows(level.shape, size)
+    mine = [part for part in every if _overlap(part, asked)]
+    found = [(p, w) for p, w in zip(mine, _waves(level, known, mine, size), strict=True) if w]
+    doubtful = [p for p, wave in found if wave.rise < RISES[1]]
+    beside = [p for p in every if p not in mine and any(_overlap(p, d) for d in doubtful)]
+    others = [(p, w) for p, w in zip(beside, _waves(level, known, beside, size), strict=True) if w]
+    sure = [(p, wave) for p, wave in found + others if wave.rise >= RISES[1]]
+    for part, wave in found:
+        if wave.rise >= RISES[1] or any(_overlap(part, p) and wave.like(w) for p, w in sure):
+            yield part, wave.number
+
+
+def _overlap(first: Part, second: Part) -> bool:
+    return all(a.start < b.stop and a.stop > b.start for a, b in zip(first, second, strict=True))
+
+
 def _waves(
     level: FloatArray, known: FloatArray, parts: Sequence[Part], size: int
-) -> list[tuple[float, float] | None]:
-    """Wave number (cycles per averaged pixel, down and across) of the ripples in each window."""
-    found: list[tuple[float, float] | None] = [None] * len(parts)
+) -> list[_Wave | None]:
+    """Wave of the ripples in each window."""
+    found: list[_Wave | None] = [None] * len(parts)
     enough = [
         i
         for i, part in enumerate(parts)
@@ -168,19 +214,50 @@ def _power(flat: Single) -> FloatArray:
     return np.asarray((np.roll(across, 1, axis=1) + across + np.roll(across, -1, axis=1)) / 9)
 
 
-def _peak(power: FloatArray, over: FloatArray, size: int) -> tuple[float, float] | None:
+def _peak(power: FloatArray, over: FloatArray, size: int) -> _Wave | None:
     """Wave number that stands out of its ring, if one does and is no edge's."""
     place = int(np.argmax(over))
     if over[place] < STANDS_OUT:
         return None
-    row, column = np.unravel_index(place, power.shape)
-    k = np.array([np.fft.fftfreq(size)[row], column / size])
-    down, across = (np.arange(h - 1, h + 2) for h in np.rint(k * size / 2).astype(int))
+    k = _mode(np.unravel_index(place, power.shape), size)
+    # a sharp crest's overtone may stand out more than the wave itself, but has less power
+    k = max((_summit(power, k * share, over, size) for share in WITHIN), key=lambda v: v[0])[1]
+    rise = float(_about(power, k, size).max() / max(_about(power, k / 2, size).max(), 1e-300))
+    return _Wave(float(k[0]) / size, float(k[1]) / size, rise) if rise >= RISES[0] else None
+
+
+def _mode(place: tuple[Any, ...], size: int) -> NDArray[np.int64]:
+    """Cycles a window, down and across, of a place in half a spectrum."""
+    row, column = (int(v) for v in place)
+    return np.array([row - size * (row > size // 2), column])
+
+
+def _near(k: NDArray[Any], size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the nine modes about a wave number (cycles a window)."""
+    down, across = (np.arange(h - 1, h + 2) for h in np.rint(k).astype(int))
     # a real image has the same power at the opposite wave number
     down = np.where(across[None] < 0, -down[:, None], down[:, None]) % size
-    if power[row, column] < RISES * power[down, np.abs(across)[None]].max():
-        return None
-    return float(k[0]), float(k[1])
+    return down, np.broadcast_to(np.abs(across)[None], down.shape)
+
+
+def _about(power: FloatArray, k: NDArray[Any], size: int) -> FloatArray:
+    """Power of the nine modes about a wave number."""
+    return np.asarray(power[_near(k, size)])
+
+
+def _summit(
+    power: FloatArray, k: NDArray[Any], over: FloatArray, size: int
+) -> tuple[float, NDArray[np.int64]]:
+    """Climb to the most powerful mode that stands out near a wave number; power there, and it."""
+    ratio = over.reshape(power.shape)
+    best = 0.0, np.rint(k).astype(int)
+    while True:
+        down, across = _near(best[1], size)
+        values = np.where(ratio[down, across] >= STANDS_OUT, power[down, across], 0.0)
+        i = np.unravel_index(int(np.argmax(values)), values.shape)
+        if values[i] <= best[0]:
+            return best
+        best = float(values[i]), _mode((down[i], across[i]), size)
 
 
 @cache
@@ -204,7 +281,7 @@ class _Along:
         Cycles a pixel, down and across.
     """
 
-    def __init__(self, known: FloatArray, wave: tuple[float, float]) -> None:
+    def __init__(self, known: NDArray[np.floating], wave: tuple[float, float]) -> None:
         self._known, self._shape = (
             known,
             tuple(next_fast_len(n + WINDOWS[-1] // 2) for n in known.shape),
@@ -235,8 +312,8 @@ class _Along:
 
 
 def _profile(
-    level: FloatArray, known: FloatArray, wave: tuple[float, float]
-) -> tuple[NDArray[np.bool_], FloatArray]:
+    level: NDArray[np.floating], known: NDArray[np.floating], wave: tuple[float, float]
+) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
     """Where ripples are, and their log intensity over that of flat floor."""
     length = 1 / np.hypot(*wave)
     level, known = level.astype(np.float32), known.astype(np.float32)
@@ -246,7 +323,7 @@ def _profile(
     carrier = 2 * np.pi * (wave[0] * rows[:, None] + wave[1] * columns).astype(np.float32)
     first = average(flat * np.exp(-1j * carrier), *PHASE)
     phase = carrier + np.angle(first)
-    total = np.zeros(level.shape, np.float32)
+    total: NDArray[np.floating] = np.zeros(level.shape, np.float32)
     wave_once = np.exp(1j * phase)
     turn = np.ones_like(wave_once)
     for _ in range(min(HARMONICS, max(int(length / 2.5), 1))):
@@ -257,12 +334,43 @@ def _profile(
     power = np.maximum(average(total**2, *NEAR), 1e-9)
     total *= np.clip(average(flat * total, *NEAR) / power, 0.0, STRONGEST)
     before, after = (average(v**2, *NEAR) for v in (flat, flat - total))
-    there = (after < EXPLAINED * before) & (2 * np.abs(first) > LEAST) & (known > 0)
+    there = (after < EXPLAINED * before) & (2 * np.abs(first) > LEAST)
+    there = _rounded(there, OPENED * length, CLOSED * length) & (known > 0)
+    total += _left_over(flat - total, known, average)
     # amplitude is linear in slope to first order, and slope has no mean: the mean amplitude over a
     # wavelength is that of flat floor (the mean intensity is up to 4 dB more)
     mean = average(np.exp(0.5 * total), 1.0, 1.0)
     total -= 2 * np.log(np.maximum(mean, FLOOR))
     return there, total * there
+
+
+def _rounded(mask: NDArray[np.bool_], opened: float, closed: float) -> NDArray[np.bool_]:
+    """Open a mask by a disc, then close it by another, as if it went on beyond its edges."""
+    kept = _grown(~_grown(~mask, opened), opened)
+    pad = int(np.ceil(closed)) + 1
+    wide = ~_grown(~_grown(np.pad(kept, pad, "edge"), closed), closed)
+    return np.asarray(wide[pad:-pad, pad:-pad])
+
+
+def _grown(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    if not mask.any():
+        return mask
+    return np.asarray(distance_transform_edt(~mask) <= radius)
+
+
+def _left_over(rest: NDArray[np.floating], known: NDArray[np.floating], average: _Along) -> Single:
+    """Find what of a profile's rest is more than speckle.
+
+    Where crests cross, fork or turn sharply, no one profile holds: what is then left at the scale
+    of the ripples is the bed's as well. As much of it stays as speckle has.
+    """
+    smooth = gaussian_filter(rest, REST, mode="nearest")
+    # speckle is what neighbours do not share
+    steps = np.diff(rest, axis=1)[(known[:, 1:] * known[:, :-1]) > 0]
+    noise = 0.5 * np.square(np.median(np.abs(steps)) / 0.6745) if steps.size else 0.0
+    noise = noise / (4 * np.pi * REST**2)
+    power = np.maximum(average(smooth**2, *JUDGED), 1e-9)
+    return np.asarray(smooth * (1 - np.sqrt(np.minimum(noise / power, 1))), np.float32)
 
 
 def _fine(coarse: Single, inner: Part) -> FloatArray:

@@ -168,7 +168,7 @@ def test_the_summary_is_short_and_says_where_to_look(sample):
     _, outcome = sample
     lines = list(summary_lines(outcome))
     assert 6 <= len(lines) <= 12
-    assert "wavelength 1.66" in lines[1]
+    assert "wavelength 1.5" in lines[1]  # half of the cells 1.67 m, half 1.51 m
     assert lines[0] == "cells: 4 good, 2 no ripples"
     assert lines[-1].endswith("report.html")
 

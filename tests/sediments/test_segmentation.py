@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sasmap.sediments import floor, k_distribution, mapping, segmentation
-from sasmap.sediments.classmap import class_map, log_likelihoods
+from sasmap.sediments.classmap import averaged, class_map, log_likelihoods, sieved
 from sasmap.sediments.mapping import Line, paint, refine_map, traced
 from sasmap.sediments.nodes import Boundary
 from sasmap.sediments.segmentation import find_classes
@@ -170,6 +170,29 @@ def test_shadow_is_no_sediment(kind):
     assert (found.label[shadow] == 0).mean() > 0.97
     assert (found.label[~shadow] > 0).mean() > 0.99
     assert find_classes(looks).dark is None
+
+
+def test_rippled_floor_is_classed_by_its_average():
+    x = np.indices((80, 80))[1]
+    stripes = np.where(x % 20 < 8, -1.0, 1.0).astype(np.float32)
+    likelihood = np.stack([stripes, np.zeros_like(stripes)])
+    likelihood[:, 0, 0] = np.nan
+    mask = x < 60
+    found = averaged(likelihood, mask, 41)
+    assert (found[0][:, 20:40] > 0).all()  # stripes have both signs
+    np.testing.assert_array_equal(found[:, ~mask], likelihood[:, ~mask])
+    assert np.isnan(found[:, 0, 0]).all()
+    assert averaged(likelihood, mask & False, 41) is likelihood
+
+
+def test_small_patches_go_where_they_are_asked_about():
+    label = np.ones((60, 60), np.uint8)
+    label[10:20, 10:20], label[40:50, 40:50], label[0:8, 30:38] = 2, 3, 0
+    left = np.indices(label.shape)[1] < 30
+    found = sieved(label, 200, among=left)
+    assert (found[10:20, 10:20] == 1).all()
+    np.testing.assert_array_equal(found[:, 30:], label[:, 30:])
+    assert (sieved(label, 200) < 2).all()
 
 
 def test_painting_changes_no_third_class():

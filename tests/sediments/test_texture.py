@@ -57,6 +57,12 @@ def test_texture_is_left_out_where_amplitude_suffices():
     assert len(find_classes(one).laws) == 1
 
 
+def test_what_is_left_of_ripples_is_no_texture():
+    looks, truth = halves(1)
+    assert len(find_classes(looks, rippled=truth.astype(np.uint8)).laws) == 1
+    assert len(find_classes(looks, rippled=np.zeros(truth.shape, np.uint8)).laws) == 2
+
+
 @pytest.mark.parametrize("levels", [(1.0, 1.0), (1.0, 2.5)])
 def test_trained_classes_take_texture_where_it_tells_more(levels):
     looks, truth = halves(6, (0.0, 5.0) if levels[1] == 1 else (0.0, 0.0), levels)

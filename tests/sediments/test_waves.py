@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from sasmap.sediments import waves as module
 from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
 
 SIZE = 640
@@ -36,6 +37,40 @@ def test_ripples_are_taken_off_and_leave_the_level_of_flat_floor(length, turn):
     assert np.corrcoef(ripples[middle].ravel(), waves.profile[middle].ravel())[0, 1] > 0.97
     # amplitude is linear in slope: the mean amplitude is that of flat floor, 0.3 dB or so
     assert np.mean(flat) / np.mean(speckle(1)) == pytest.approx(1, abs=0.05)
+
+
+def uneven(kind):
+    """Phase and second phase of crests that turn, end or are crossed by others."""
+    y, x = np.indices((SIZE, SIZE))
+    phase, second = 2 * np.pi * x / 60, np.zeros((SIZE, SIZE))
+    if kind == "kink":
+        phase += np.where(y > 320, 2 * np.pi * (y - 320) * 0.4 / 60, 0)
+    elif kind == "forks":
+        phase += np.arctan2(y - 300, x - 250) - np.arctan2(y - 420, x - 400)
+    else:
+        second = 2 * np.pi * (0.5 * x + 0.8 * y) / 42
+    return phase, second
+
+
+@pytest.mark.parametrize(("kind", "most"), [("kink", 1.3), ("forks", 1.3), ("crossing", 3.0)])
+def test_crests_that_turn_fork_or_cross_leave_one_bed(kind, most):
+    phase, second = uneven(kind)
+    pulse = np.maximum(1 + 0.8 * np.sin(phase) + 0.5 * np.sin(second), 0.15)
+    waves = find_waves(speckle(5) * pulse)
+    assert waves.rippled.mean() > 0.98
+    flat = speckle(5) * pulse * np.exp(-waves.profile)
+    rest, alone = (np.std(gaussian_filter(np.log(v), 3)) for v in (flat, speckle(5)))
+    assert alone < rest < most * alone  # ripples have eleven times as much
+    assert np.mean(flat) / np.mean(speckle(5)) == pytest.approx(1, abs=0.03)
+
+
+def test_a_doubtful_wave_needs_a_sure_one_beside_it(monkeypatch):
+    image, _ = rippled(10, 66, 0.0)
+    monkeypatch.setattr(module, "RISES", (1.0, 1e12))
+    assert not find_waves(image).rippled.any()
+    sure, doubtful = module._Wave(0.1, 0.02, 5.0), module._Wave(-0.09, -0.03, 1.4)
+    assert doubtful.like(sure)
+    assert not module._Wave(0.1, -0.08, 1.4).like(sure)
 
 
 def test_ripples_end_where_they_end():
