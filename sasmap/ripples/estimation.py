@@ -39,7 +39,9 @@ FIELD_HEIGHT = 0.06
 # Largest noise factor that correlated speckle makes, and error of log A_H for each power of e
 # beyond: with straight crests, and where a field is followed, as forks under deep shadow make it
 # large (pipelines/ripples/coherent.py).
-MISFIT, FIELD_MISFIT = (4.0, 0.15), (3.0, 0.3)
+MISFIT, FIELD_MISFIT = (4.0, 0.15), (2.0, 0.2)
+# Most that an error leaves unknown: this share of what the prior of steepness does.
+UNKNOWN = 0.8
 # Draws from which the lag's slope over range is learned.
 LAG_DRAWS = 60
 # Probability from which a clip counts as rippled.
@@ -289,6 +291,8 @@ def _labelled(
     # the same crests, counted along the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     error = np.hypot(_height_error(fit), crossing)
+    most = (UNKNOWN * fit.geometry.steepness_sd) ** 2 - float(np.log(named["height"]).var())
+    error = min(error, np.sqrt(max(most, 0.0)))
     # of mean 1
     named["height"] *= np.exp(error * rng.standard_normal(shape) - 0.5 * error**2)
     frequency = np.hypot(along, across)
