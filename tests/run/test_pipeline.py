@@ -58,11 +58,12 @@ def test_sample_products_hold_the_truth_with_honest_intervals(sample):
     frequency, height = read(output, "ripple_frequency.tif"), read(output, "ripple_height.tif")
     rippled = np.array([[True, True, False]] * 2)
     np.testing.assert_array_equal(np.isfinite(frequency[0]), rippled)
-    # where crests bend and fork, a cell's one number is known to half a per cent
+    # where crests bend and fork, a cell's one number is known to half a per cent, and A_H badly
     truths = (cells_of("ripple_frequency"), cells_of("ripple_height"))
     even = np.array([[True, False, False], [False, False, False]])
-    for bands, truth, most in zip((frequency, height), truths, (0.01, 0.15), strict=True):
+    for bands, truth, most in zip((frequency, height), truths, (0.01, 0.35), strict=True):
         np.testing.assert_allclose(bands[0][rippled], truth[rippled], rtol=most)
+        np.testing.assert_allclose(bands[0][even], truth[even], rtol=0.05)
         known = np.hypot(5 * bands[1], np.where(even, 0.0, 0.005 * truth))
         assert (np.abs(bands[0] - truth)[rippled] < known[rippled]).all()
         assert (bands[2][rippled] < bands[3][rippled]).all()

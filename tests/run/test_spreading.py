@@ -100,5 +100,5 @@ def test_what_no_worker_survives_is_told():
     ):
         spread = Spread(client)
         assert list(spread(_deadly, [3, 1, 4])) == [30, 10, 40]
-        with pytest.raises(RuntimeError, match="no worker survives"):
+        with pytest.raises(RuntimeError, match="kills every worker"):
             list(spread(_deadly, [1, 2, 3]))

@@ -241,4 +241,4 @@ def test_products_are_no_tiles_and_replace_no_input(tmp_path):
     tile = tmp_path / "tiles" / "ripple_height.tif"
     tile.write_bytes((tmp_path / "tiles" / "a.tif").read_bytes())
     (fault,) = faults(path)
-    assert "would replace this input" in fault
+    assert "would overwrite this input" in fault
