@@ -44,6 +44,8 @@ MISFIT, FIELD_MISFIT = (4.0, 0.15), (2.0, 0.2)
 UNKNOWN = 0.8
 # Draws from which the lag's slope over range is learned.
 LAG_DRAWS = 60
+# Error of log A_H over the ratio of amplitudes of two sets of crests that cross.
+CROSSING = 2.0
 # Probability from which a clip counts as rippled.
 PRESENT = 0.5
 # Cosine of the angle between crests from which those of another system run; log of the ratio of
@@ -180,12 +182,13 @@ def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> 
 
 
 def _crossing(wave: Wave, other: Wave | None) -> float:
-    """Error of log A_H by crests that cross: their contrast over the wave's own.
+    """Error of log A_H by crests that cross, from the energy of their contrast over the wave's own.
 
-    Each is estimated as if alone, with a pulse that the other blurs: A_H came out lower by about
-    this much (a wave of 0.6 cycles/m and 0.07 m under one of 1.0 and 0.025, 1.2 and 0.012).
+    Each is estimated as if alone, with a pulse that the other blurs: A_H came out lower by as much
+    (a wave of 0.6 cycles/m and 0.07 m under one of 1.0 and 0.025: 0.034 and 0.039 m at energies of
+    0.10 and 0.03).
     """
-    return 0.0 if other is None else float(np.sqrt(min(other.energy / wave.energy, 1.0)))
+    return 0.0 if other is None else CROSSING * float(np.sqrt(min(other.energy / wave.energy, 1.0)))
 
 
 def _candidates(waves: list[Wave]) -> list[Wave]:
