@@ -1,11 +1,12 @@
 import warnings
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from sasmap.ripples import Clip, Prior, RippleSettings, estimate
+from sasmap.ripples import Clip, Prior, RippleSettings, estimate, estimation
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.rendering import Parameters
 from tests.helpers import clip_of, zare_cobb_clip
@@ -285,3 +286,18 @@ def test_bounds_of_height_hold():
     )
     assert float(bounded.draws.height.max()) <= 0.03
     assert float(bounded.mean.exponent) > float(told(2, height=0.03, near=15.0).mean.exponent)
+
+
+def test_crests_that_cross_are_an_error_of_each_other():
+    first = SimpleNamespace(energy=1.0)
+    faint, strong = (SimpleNamespace(energy=e) for e in (0.01, 4.0))
+    assert estimation._crossing(first, None) == 0.0
+    assert 0 < estimation._crossing(first, faint) < estimation._crossing(first, strong)
+
+
+def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
+    monkeypatch.setattr(estimation, "_height_error", lambda fit: 5.0)
+    posterior = estimate(cell(6, near=6.0).clip, DEFAULT, rng=1)
+    spread = float(np.log(posterior.draws.height).std())
+    prior = posterior.prior.steepness[1]
+    assert 0.6 * prior < spread < 0.9 * prior
