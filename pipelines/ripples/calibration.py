@@ -148,13 +148,14 @@ def simulate(
     pulses = np.empty((n, BINS))
     fill_pulses(ripple, every, geometry, pulses, np.empty(n))
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
-    # errors that a wavelength of range and a part of phase share
+    # errors of intensity that a wavelength of range and a part of phase share, and of place that all
+    # ranges of a part of phase share
     group = ((reach - reach[0]) * geometry.along).astype(int)
     cell = (place % 1 * ERROR_CELLS).astype(int)
     shape = group.max() + 1, ERROR_CELLS
     level = np.exp(MODEL_ERROR * rng.standard_normal(shape))[group[None, :], cell]
-    shift = MODEL_SHIFT * scene.pixel * geometry.along * rng.standard_normal(shape)
-    bins = (place + shift[group[None, :], cell]) * BINS - 0.5
+    shift = MODEL_SHIFT * scene.pixel * geometry.along * rng.standard_normal(ERROR_CELLS)
+    bins = (place + shift[cell]) * BINS - 0.5
     low = np.floor(bins).astype(int)
     column = np.broadcast_to(np.arange(n), low.shape)
     before, after = pulses[column, low % BINS], pulses[column, (low + 1) % BINS]
