@@ -46,6 +46,8 @@ INDEPENDENT = 0.2
 # Points of a round in which a proposal is learned, and rounds at most; effective points a dimension
 # to which weights are flattened on the way, and with which it ends.
 POINTS, MOST_ROUNDS, ADAPTED, ENOUGH = 300, 12, 4.0, 25.0
+# Distinct points a dimension from which a mixture can be fitted.
+LEAST_PLACES = 2
 
 
 class Proposal:
@@ -215,7 +217,7 @@ def adapted(
             [seen[len(seen) // 3 :], chains.draws[:, WALK // 4 :].reshape(-1, seen.shape[1])]
         )
         particles = seen[rng.permutation(len(seen))]
-        proposal = fit_proposal(particles, len(particles) * INDEPENDENT)
+        proposal = refitted(proposal, particles, len(particles) * INDEPENDENT)
     return defended(proposal), particles, states[rng.permutation(len(states))]
 
 
@@ -260,7 +262,8 @@ def sample(
         if kept >= RELEARN and not relearned:
             learned = np.concatenate([r.draws for r in rounds], axis=1).reshape(-1, states.shape[1])
             particles = learned[rng.permutation(len(learned))]
-            proposal = defended(fit_proposal(particles, len(particles) * INDEPENDENT))
+            learnt = refitted(proposal, particles, len(particles) * INDEPENDENT)
+            proposal = proposal if learnt is proposal else defended(learnt)
             rounds, kept, relearned = [], 0, True
         steps = min(max(ROUND, kept // 2), most - kept)
         run = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
@@ -325,6 +328,13 @@ def fit_proposal(points: FloatArray, effective: float) -> Proposal:
     return Proposal(Mixture(best.weight, centre + scale * best.mean, best.covariance * outer))
 
 
+def refitted(proposal: Proposal, points: FloatArray, effective: float) -> Proposal:
+    """Fit a proposal to a population; keep the one at hand where only few places are left."""
+    if np.unique(points[:, 0]).size <= LEAST_PLACES * points.shape[1]:
+        return proposal
+    return fit_proposal(points, effective)
+
+
 def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     """Fit n components, from slices along the direction in which the points are least Gaussian."""
     skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
@@ -360,16 +370,19 @@ def population(
     """
     proposals: list[Proposal] = []
     points, levels = np.empty((0, 0)), np.empty(0)
+    chosen = np.resize(proposal.mixture.mean, (POINTS, proposal.mixture.mean.shape[1]))
     for k in range(MOST_ROUNDS):
         drawn = proposal.draw(POINTS, rng)
         proposals.append(proposal)
         points = np.concatenate([points, drawn]) if k else drawn
         levels = np.concatenate([levels, log_density(drawn)])
+        if not np.isfinite(levels).any():
+            continue
         together = log_sum(np.array([p.log_density(points) for p in proposals]))
         log_weight = levels - together
         weight = tempered(log_weight, ADAPTED * points.shape[1])
         chosen = points[resampled(weight, 3 * POINTS, rng)]
-        proposal = fit_proposal(chosen, effective_number(np.log(weight + 1e-300)))
+        proposal = refitted(proposal, chosen, effective_number(np.log(weight + 1e-300)))
         if effective_number(log_weight) > ENOUGH * points.shape[1]:
             break
     return chosen, proposal

@@ -1,5 +1,7 @@
 """One harness for the sampler, whatever the density; and samplers that are wrong must fail it."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -204,3 +206,20 @@ def test_as_many_chains_as_are_asked_for():
     start = mixture_of_peaks(STARTS["banana"])
     chains, _ = sample(banana, start, told, chains=64, most=100, rng=rng)
     assert chains.draws.shape == (64, 100, 3)
+
+
+@pytest.mark.parametrize("reach", [0.5, 0.8, 1.5])
+def test_a_density_that_is_almost_nowhere_is_sampled_all_the_same(reach):
+    """Bounds of a prior may leave no, or a few, points of the first population."""
+    size = 9
+
+    def almost_nowhere(points):
+        inside = np.linalg.norm(points, axis=1) < reach
+        return np.where(inside, -0.5 * (points**2).sum(axis=1), -np.inf)
+
+    start = mixture_of_peaks([(np.zeros(size), np.eye(size), 0.0)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        chains, _ = sample(almost_nowhere, start, lambda d: False, 8, 400, np.random.default_rng(1))
+    assert chains.draws.shape == (8, 400, size)
+    assert (np.linalg.norm(chains.draws, axis=-1) < reach).all()
