@@ -148,8 +148,7 @@ def simulate(
     pulses = np.empty((n, BINS))
     fill_pulses(ripple, every, geometry, pulses, np.empty(n))
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
-    # errors of intensity that a wavelength of range and a part of phase share, and of place that all
-    # ranges of a part of phase share
+    # errors of intensity in a wavelength of range and a part of phase, of place in all ranges
     group = ((reach - reach[0]) * geometry.along).astype(int)
     cell = (place % 1 * ERROR_CELLS).astype(int)
     shape = group.max() + 1, ERROR_CELLS
