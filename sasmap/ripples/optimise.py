@@ -77,10 +77,10 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
     slopes = np.geomspace(LEAST_SLOPE, 0.95, HEIGHTS)
     found = []
     laws = LAWS if np.isnan(geometry.fixed[0]) else (0.0,)
-    tilts = ASYMMETRIES if np.isnan(geometry.fixed[3]) else (0.0,)
-    for law, incidence_angle in product(laws, tilts):
+    asymmetries = ASYMMETRIES if np.isnan(geometry.fixed[3]) else (0.0,)
+    for law, asymmetry in product(laws, asymmetries):
         z = np.zeros(COORDINATES)
-        z[LAW], z[ASYMMETRY] = law, incidence_angle
+        z[LAW], z[ASYMMETRY] = law, asymmetry
         best, best_level = None, -np.inf
         for height in slopes / (2 * np.pi * wave):
             ripple = parameters_at(z, geometry)

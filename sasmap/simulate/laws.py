@@ -19,7 +19,7 @@ ROUGH_PEAK = 3.0
 DENSITY, SPEED, LOSS = 1.85, 1.15, 0.0166
 # Interface over volume scattering at normal incidence: small, so that volume scattering dominates,
 # but positive beyond the critical angle (a choice).
-INTERFACE = 0.03
+SURFACE_SHARE = 0.03
 
 
 class PowerLaw(BaseModel):
@@ -62,7 +62,7 @@ def backscatter(law: Law | PowerLaw, grazing: ArrayLike) -> FloatArray:
         peak = np.exp(-(1 / squared - 1) / (2 * ROUGH_SLOPE**2)) / squared**2
         return np.asarray(squared**0.75 + ROUGH_PEAK * peak)
     normal = _volume(np.ones(1))[0]
-    return np.asarray(_volume(sine) / normal + INTERFACE * sine**2)
+    return np.asarray(_volume(sine) / normal + SURFACE_SHARE * sine**2)
 
 
 def _volume(sine: FloatArray) -> FloatArray:
