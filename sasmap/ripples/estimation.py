@@ -283,11 +283,12 @@ def _labelled(
     named = named_parameters(points, fit.geometry)
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
-    along = fit.geometry.along + named.pop("wave_offset")
+    # the image's fundamental tells the wave number, and the model how far it is turned over range
+    named.pop("wave_offset")
+    slope, lag = _lags(points, fit)
+    along = fit.geometry.along + sd[0] * rng.standard_normal(shape) + slope
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
     if not fit.phase.rigid:
-        slope, lag = _lags(points, fit)
-        along = along + sd[0] * rng.standard_normal(shape) + slope
         cycles = cycles + lag
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     turns = np.floor(azimuth.mean() / 180.0)
@@ -320,15 +321,23 @@ def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
     """
     every = points.reshape(-1, COORDINATES)
     some = every[:: max(len(every) // LAG_DRAWS, 1)]
-    pixels = fit.data.pixel_count.sum(axis=1)
-    place = fit.data.place - np.average(fit.data.place, weights=pixels)
-    weight = pixels * place / max(float((pixels * place**2).sum()), 1e-12)
-    lags = np.array([np.unwrap(pulses_at(fit, z)[1]) for z in some]) / (2 * np.pi)
-    told = np.stack([lags @ weight, lags @ pixels / pixels.sum()], axis=1)
+    told = np.array([_lag_line(fit, z) for z in some])
     design = np.column_stack([some, np.ones(len(some))])
     line = np.linalg.lstsq(design, told, rcond=None)[0]
     slope, mean = (every @ line[:-1] + line[-1]).T.reshape(2, *points.shape[:2])
     return slope, mean
+
+
+def _lag_line(fit: Fit, z: FloatArray) -> tuple[float, float]:
+    """Slope over range (cycles/m) and mean (cycles) of the lag of the image's fundamental."""
+    pulses, lags, _ = pulses_at(fit, z)
+    weight = fit.data.pixel_count.sum(axis=1)
+    if fit.phase.rigid:  # places count by their contrast in the wave of the whole clip
+        weight = weight * np.abs(np.fft.rfft(pulses, axis=1)[:, 1])
+    cycles = np.unwrap(lags) / (2 * np.pi)
+    place = fit.data.place - np.average(fit.data.place, weights=weight)
+    slope = (weight * place) @ cycles / max(float(weight @ place**2), 1e-12)
+    return slope, float(np.average(cycles, weights=weight))
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:

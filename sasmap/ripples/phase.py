@@ -47,7 +47,7 @@ FULL = 0.8
 MAX_ROUNDS = 8
 # Share of the phase's wander that its mean slope may be wrong by, and turns over the clip that a
 # fork leaves open (root of their number).
-WANDER_SHARE, FORK_TURN = 0.15, 0.04
+WANDER_SHARE, FORK_TURN = 0.2, 0.04
 
 
 @dataclass(frozen=True)
