@@ -65,6 +65,9 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 # displacement of the pulse that all groups share, in pixels, and in cycles where a field is
 # followed (pipelines/ripples/coherent.py).
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
+# Error of the expected intensity over the clip's mean, with straight crests and where a field is
+# followed: side lobes, and light that forks and defects leave in shadow.
+DARK_ERROR = (0.005, 0.02)
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
@@ -356,15 +359,18 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     count = np.maximum(total(data.pixel_count), 1.0)
     displacement = (shift * slope) ** 2
     displaced = total(data.pixel_count * displacement) / count
+    brighter = np.maximum(total(data.intensity_sum), total(data.pixel_count * means)) / count
+    dark = (DARK_ERROR[0 if fit.phase.rigid else 1] / np.maximum(brighter, 1e-9)) ** 2
     misfit = total(data.intensity_sum / means) / count - 1
     whole = count.sum(axis=0)
     shared = (count * misfit).sum(axis=0) / whole
-    both = np.average(misfit**2 - noise_factor / count - displaced, weights=count)
+    both = np.average(misfit**2 - noise_factor / count - displaced - dark, weights=count)
     displaced = (count * displaced).sum(axis=0) / whole
     common = np.average(shared**2 - noise_factor / whole - displaced, weights=whole)
     common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
     error = max(both - common, MODEL_ERROR**2 if fit.phase.rigid else FIELD_ERROR**2)
-    known = count[data.group][:, part] * error + whole[part] * (common + displacement)
+    known = (count * (error + dark))[data.group][:, part]
+    known = known + whole[part] * (common + displacement)
     return np.asarray(1 / (noise_factor + known))
 
 
