@@ -67,7 +67,7 @@ TREND_ROUNDS, TREND_CLIMB = 2, 6
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
 # Error of the expected intensity over the clip's mean, with straight crests and where a field is
 # followed: side lobes, and light that forks and defects leave in shadow.
-DARK_ERROR = (0.005, 0.02)
+DARK_ERROR = (0.002, 0.01)
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
