@@ -265,8 +265,7 @@ def _sampled(
     )
 
     def suffice(draws: FloatArray) -> bool:
-        told = named_parameters(whole(draws), fit.geometry)
-        return converged(told["wave_offset"]) and converged(told["height"])
+        return converged(named_parameters(whole(draws), fit.geometry)["height"])
 
     chains, done = sample(log_density, proposal, suffice, settings.chains, settings.draws, rng)
     return whole(chains.draws), chains.accepted, done
@@ -283,10 +282,12 @@ def _labelled(
     named = named_parameters(points, fit.geometry)
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
-    # the image's fundamental tells the wave number, and the model how far it is turned over range
-    named.pop("wave_offset")
+    # errors of the pulse that all ranges share blur each draw's own, though they tilt no phase: the
+    # phase over range has the error of its speckle, and turns with what shadow and lean make of it
+    offset = named.pop("wave_offset")
     slope, lag = _lags(points, fit)
-    along = fit.geometry.along + sd[0] * rng.standard_normal(shape) + slope
+    told = float((offset - slope).mean()) if fit.phase.rigid else 0.0
+    along = fit.geometry.along + told + slope + sd[0] * rng.standard_normal(shape)
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
     if not fit.phase.rigid:
         cycles = cycles + lag
@@ -330,10 +331,8 @@ def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 def _lag_line(fit: Fit, z: FloatArray) -> tuple[float, float]:
     """Slope over range (cycles/m) and mean (cycles) of the lag of the image's fundamental."""
-    pulses, lags, _ = pulses_at(fit, z)
+    _, lags, _ = pulses_at(fit, z)
     weight = fit.data.pixel_count.sum(axis=1)
-    if fit.phase.rigid:  # places count by their contrast in the wave of the whole clip
-        weight = weight * np.abs(np.fft.rfft(pulses, axis=1)[:, 1])
     cycles = np.unwrap(lags) / (2 * np.pi)
     place = fit.data.place - np.average(fit.data.place, weights=weight)
     slope = (weight * place) @ cycles / max(float(weight @ place**2), 1e-12)

@@ -68,6 +68,8 @@ MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.
 # Error of the expected intensity over the clip's mean, with straight crests and where a field is
 # followed: side lobes, and light that forks and defects leave in shadow.
 DARK_ERROR = (0.002, 0.01)
+# Least intensity over the clip's mean of which that error is told.
+LEAST_LIGHT = 1e-4
 # Departure of the log of a scattering law from its family at each knot (rough floors have a peak
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
@@ -346,7 +348,9 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     bins = means.shape[1]
     logs = np.log(means)
     slope = 0.5 * bins * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
-    turn = 0.0 if fit.phase.rigid else FIELD_SHIFT
+    which = 0 if fit.phase.rigid else 1
+    least = (MODEL_ERROR, FIELD_ERROR)[which] ** 2
+    turn = (0.0, FIELD_SHIFT)[which]
     shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
     groups = int(data.group.max()) + 1
     part = np.arange(bins) * ERROR_CELLS // bins
@@ -356,21 +360,25 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
         summed = np.bincount(cell.ravel(), values.ravel(), groups * ERROR_CELLS)
         return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
 
-    count = np.maximum(total(data.pixel_count), 1.0)
+    pixels = total(data.pixel_count)
+    count = np.maximum(pixels, 1.0)
     displacement = (shift * slope) ** 2
     displaced = total(data.pixel_count * displacement) / count
     brighter = np.maximum(total(data.intensity_sum), total(data.pixel_count * means)) / count
-    dark = (DARK_ERROR[0 if fit.phase.rigid else 1] / np.maximum(brighter, 1e-9)) ** 2
+    dark = (DARK_ERROR[which] / np.maximum(brighter, LEAST_LIGHT)) ** 2
     misfit = total(data.intensity_sum / means) / count - 1
-    whole = count.sum(axis=0)
-    shared = (count * misfit).sum(axis=0) / whole
-    both = np.average(misfit**2 - noise_factor / count - displaced - dark, weights=count)
-    displaced = (count * displaced).sum(axis=0) / whole
-    common = np.average(shared**2 - noise_factor / whole - displaced, weights=whole)
+    # what misfit the bright cells show
+    weight = pixels * least / (least + dark)
+    both = np.average(misfit**2 - noise_factor / count - displaced, weights=weight)
+    whole = np.maximum(weight.sum(axis=0), 1e-9)
+    shared = (weight * misfit).sum(axis=0) / whole
+    speckle = noise_factor * (weight**2 / count).sum(axis=0) / whole**2
+    displaced = (weight * displaced).sum(axis=0) / whole
+    common = np.average(shared**2 - speckle - displaced, weights=whole)
     common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
-    error = max(both - common, MODEL_ERROR**2 if fit.phase.rigid else FIELD_ERROR**2)
+    error = max(both - common, least)
     known = (count * (error + dark))[data.group][:, part]
-    known = known + whole[part] * (common + displacement)
+    known = known + pixels.sum(axis=0)[part] * (common + displacement)
     return np.asarray(1 / (noise_factor + known))
 
 

@@ -34,11 +34,11 @@ LOCAL_STEP = 1.7
 # of the density; burn-in's rounds and their steps; accepted share and log of the density over the
 # proposal's at which they end, that over its median (pipelines/ripples/coherent.py).
 DEFENSIVE, WIDE = 0.15, 2.2
-ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 16, 0.3, 3.5
+ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 16, 0.3, 5.0
 # Draws a chain of a first round, and after which a proposal is learned once more.
-ROUND, RELEARN = 300, 1800
+ROUND, RELEARN = 300, 1200
 # Steps of a chain that propose anew, to one local step.
-LOCAL = 2
+LOCAL = 4
 # Rounds of a mixture's fit, and the gain in mean log likelihood at which it ends.
 EM_ROUNDS, EM_ENOUGH = 20, 1e-3
 # Share of a chain's draws that are independent, about.

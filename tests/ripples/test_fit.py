@@ -4,19 +4,19 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from sasmap.ripples.fit import Fit, bin_weights
+from sasmap.ripples.fit import Fit, bin_weights, expected_at
 from sasmap.ripples.optimise import fisher_scoring, search
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
 
 BINS, PIXEL = 48, 0.03
 
 
-def fit_of(groups, misfit, rigid=True):
-    """A fit to shallow ripples whose intensity is off by a factor (groups, bins)."""
+def fit_of(groups, misfit, rigid=True, height=0.02, noise=0.01):
+    """A fit to ripples, shallow ones if not said, whose intensity is off by (groups, bins)."""
     reach = 12.0 + 0.5 * np.arange(4 * groups)
     where = geometry(0.6, float(reach.mean()), 6.0, expected_blur=0.03)
     group = np.repeat(np.arange(groups), 4).astype(np.int64)
-    truth = ripple(0.02, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
+    truth = ripple(height, LAMBERT, blur=0.03, noise=noise, noise_slope=1.0)
     data = noiseless(truth, empty(reach, 6.0, bins=BINS, count=500.0, group=group), where)
     peak = fisher_scoring(search(data, where)[0].z, data, where)
     data = data._replace(intensity_sum=data.intensity_sum * misfit[group])
@@ -54,3 +54,28 @@ def test_edges_of_a_pulse_tell_less_where_crests_bend():
     )
     assert (bent <= straight).all()
     assert bent.min() < 0.5 * bent.max()  # flanks less than crests
+
+
+def test_a_little_light_in_shadow_costs_nothing_elsewhere():
+    deep = {"height": 0.18, "noise": 1e-4}
+    plain = fit_of(4, np.ones((4, BINS)), **deep)
+    means = expected_at(plain, plain.z)[0]
+    dark = (means < 1e-3).all(axis=0)
+    bright = (means > 0.3).any(axis=0)
+    assert dark.sum() > 3
+    lit = np.ones((4, BINS))
+    lit[1, dark] = 10.0  # still less than a hundredth of the mean
+    without, with_light = (bin_weights(fit, 1.0, PIXEL) for fit in (plain, fit_of(4, lit, **deep)))
+    assert with_light[:, bright].sum() > 0.8 * without[:, bright].sum()
+    assert without[:, dark].max() < 0.05 * without[:, bright].max()
+
+
+def test_light_as_bright_as_the_clip_where_shadow_is_foretold_counts():
+    deep = {"height": 0.18, "noise": 1e-4}
+    plain = fit_of(4, np.ones((4, BINS)), **deep)
+    means = expected_at(plain, plain.z)[0]
+    dark = (means < 1e-3).all(axis=0)
+    data = plain.data
+    light = np.where(dark, 0.5 * data.pixel_count, 0.0)
+    wrong = plain._replace(data=data._replace(intensity_sum=data.intensity_sum + light))
+    assert worth(wrong) < 0.1 * worth(plain)

@@ -178,7 +178,7 @@ def test_the_modelled_image_follows_crests_that_wander():
     assert seen.mean() > 0.6
     # speckle has a mean amplitude of 0.886 of the root of its intensity, and varies by 0.52 of it
     assert np.corrcoef(model[seen], clip.amplitude[seen])[0, 1] > 0.4
-    assert clip.amplitude[seen].mean() == pytest.approx(model[seen].mean(), rel=0.03)
+    assert clip.amplitude[seen].mean() == pytest.approx(model[seen].mean(), rel=0.04)
 
 
 def test_straight_crests_need_no_field():
