@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter, grey_closing, grey_opening, label
 from scipy.special import ndtr
 
 from sasmap.ripples.image import Image
-from sasmap.ripples.phase import Boxes, demodulate
+from sasmap.ripples.phase import BoxSums, demodulate
 from sasmap.ripples.pixels import box_sums, spread_boxes
 
 FloatArray = NDArray[np.float64]
@@ -112,7 +112,7 @@ def _without_specks(probability: FloatArray, wavelength: float) -> FloatArray:
 
 
 def _local(
-    image: Image, boxes: Boxes, given: float | None
+    image: Image, boxes: BoxSums, given: float | None
 ) -> tuple[NDArray[np.complex128], FloatArray, float]:
     """Smoothed complex amplitude of boxes, probability of ripples, and the ripples' amplitude."""
     filled = boxes.count > 0

@@ -26,13 +26,13 @@ from sasmap.ripples.phase import (
     STRAIGHT,
     PhaseField,
     along_range,
-    bend,
-    bent,
+    best_field,
     demodulate,
     local_ratio,
     refined_wave,
     rewaved,
     straight,
+    trial_fields,
     turned_back,
 )
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
@@ -143,9 +143,9 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     # shadow and lean turn the fundamental with range; that is no bend of the crests
     upright = turned_back(image, boxes, lag_over_range(seen))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
-    found = bend(upright)
-    if (found.scores >= STRAIGHT).any():
-        phase = bent(image, boxes, bend(boxes))
+    trials = trial_fields(upright)
+    if (trials.scores >= STRAIGHT).any():
+        phase = best_field(image, boxes, trial_fields(boxes))
     return refined(task, fitted(task, phase, boxes.trend, search))
 
 
@@ -243,7 +243,7 @@ def refined(task: Task, fit: Fit) -> Fit:
         model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase, used, model)
         data = histogram(image, trend, phase)
-        fit = climbed(fit._replace(trend=trend), data, fit.geometry, TREND_CLIMB)
+        fit = reoptimised(fit._replace(trend=trend), data, fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
@@ -278,7 +278,7 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
         pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
     )
     fit = fit._replace(data=data)
-    return climbed(fit, with_errors(fit), fit.geometry, CLIMB)
+    return reoptimised(fit, with_errors(fit), fit.geometry, CLIMB)
 
 
 def explained(fit: Fit) -> float:
@@ -395,7 +395,7 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
     return np.asarray(model * spread_boxes(fit.trend, fit.phase.box, image.shape))
 
 
-def climbed(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:
+def reoptimised(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:
     """Climb on from a fit's peaks on another histogram or geometry."""
     peaks = distinct([fisher_scoring(p.z, data, geometry, rounds) for p in fit.peaks], PEAKS)
     return fit._replace(data=data, geometry=geometry, peaks=peaks)

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 
-# Boxes a wavelength, and the most boxes a side.
+# BoxSums a wavelength, and the most boxes a side.
 BOXES = 6
 MAX_BOXES = 160
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
@@ -51,7 +51,7 @@ WANDER_SHARE, FORK_TURN = 0.2, 0.04
 
 
 @dataclass(frozen=True)
-class Boxes:
+class BoxSums:
     """A clip demodulated at a wave; arrays (box rows, box columns).
 
     Attributes
@@ -103,7 +103,7 @@ class PhaseField:
     even, odd, both : ndarray of complex (box rows, box columns)
         Unit phasors of the field from even stripes, odd ones, and all.
     covered : ndarray of bool (box rows, box columns)
-        Boxes with ripples.
+        BoxSums with ripples.
     origin : float
         Phase of a straight wave's image at the clip's centre, cycles.
     mean_wave, wave_sd : ndarray (2,)
@@ -168,7 +168,7 @@ class PhaseField:
         return wide[: shape[0], : shape[1]]
 
 
-def demodulate(image: Image, wave: FloatArray) -> Boxes:
+def demodulate(image: Image, wave: FloatArray) -> BoxSums:
     """Demodulate a clip at a wave and sum it over boxes.
 
     Trend and fundamental are fitted together, locally: at the clip's edges and holes the mean of a
@@ -182,7 +182,7 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
 
     Returns
     -------
-    Boxes
+    BoxSums
     """
     per_column, per_row = (float(v) for v in image.per_pixel(wave))
     pixels = 1 / np.hypot(per_column, per_row)
@@ -203,7 +203,7 @@ def demodulate(image: Image, wave: FloatArray) -> Boxes:
     variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
     # stripes a third of a wavelength wide that run across the crests: each sees whole waves
     stripes = 3 * np.array([-per_row, per_column])
-    return Boxes(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6), stripes)
+    return BoxSums(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6), stripes)
 
 
 def range_trend(image: Image, size: int) -> FloatArray:
@@ -274,19 +274,19 @@ def _log_range(image: Image, size: int) -> tuple[FloatArray, FloatArray]:
     return np.log(np.where(count > 0, mean, 1.0)), count
 
 
-def rewaved(image: Image, boxes: Boxes, wave: FloatArray) -> Boxes:
+def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
     """Demodulate at a nearby wave what is demodulated already: turn the boxes.
 
     Parameters
     ----------
     image : Image
-    boxes : Boxes
+    boxes : BoxSums
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m, off by little over a box.
 
     Returns
     -------
-    Boxes
+    BoxSums
     """
     along, across = _places(image, boxes)
     look = image.look
@@ -296,20 +296,20 @@ def rewaved(image: Image, boxes: Boxes, wave: FloatArray) -> Boxes:
     return replace(boxes, wave=wave, turned=boxes.turned * turn)
 
 
-def turned_back(image: Image, boxes: Boxes, lag: tuple[FloatArray, FloatArray]) -> Boxes:
+def turned_back(image: Image, boxes: BoxSums, lag: tuple[FloatArray, FloatArray]) -> BoxSums:
     """Take a phase that follows range off demodulated boxes.
 
     Parameters
     ----------
     image : Image
-    boxes : Boxes
+    boxes : BoxSums
     lag : tuple of ndarray (n,)
         Ground ranges, m, increasing, and the ripple's phase at which the fundamental peaks there,
         rad.
 
     Returns
     -------
-    Boxes
+    BoxSums
     """
     along, _ = _places(image, boxes)
     phase = np.interp(image.mean_range + along, *lag)
@@ -361,7 +361,7 @@ def _local_trend(
     return np.asarray(np.maximum(np.clip(level, 0.5 * plain, 2 * plain), 1e-9))
 
 
-def _places(image: Image, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
+def _places(image: Image, boxes: BoxSums) -> tuple[FloatArray, FloatArray]:
     """Places of box centres along and across the look from the clip's centre, m."""
     rows, columns = image.shape
     down = (np.arange(boxes.count.shape[0]) + 0.5) * boxes.size - 0.5 - (rows - 1) / 2
@@ -374,7 +374,7 @@ def _places(image: Image, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
     return result[0], result[1]
 
 
-def refined_wave(image: Image, boxes: Boxes, weight: BoolArray) -> FloatArray:
+def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
     """Wave vector (east, north), cycles/m, at which the demodulated clip is most coherent."""
     along, across = _places(image, boxes)
     place = np.stack([along[weight], across[weight]])
@@ -403,8 +403,8 @@ def refined_wave(image: Image, boxes: Boxes, weight: BoolArray) -> FloatArray:
     )
 
 
-def covered_boxes(image: Image, boxes: Boxes) -> tuple[BoolArray, float]:
-    """Boxes where ripples are, and the fraction of the valid area that they make up.
+def covered_boxes(image: Image, boxes: BoxSums) -> tuple[BoolArray, float]:
+    """BoxSums where ripples are, and the fraction of the valid area that they make up.
 
     Contrast grows as the sound grazes lower, so amplitude is compared over the angle from
     the vertical; where speckle hides what one place shows, all count as rippled.
@@ -436,13 +436,13 @@ def covered_boxes(image: Image, boxes: Boxes) -> tuple[BoolArray, float]:
     return everywhere
 
 
-def straight(image: Image, boxes: Boxes) -> PhaseField:
+def straight(image: Image, boxes: BoxSums) -> PhaseField:
     """Return the phase of straight crests: a plane wave and no field.
 
     Parameters
     ----------
     image : Image
-    boxes : Boxes
+    boxes : BoxSums
         Demodulated at the wave.
 
     Returns
@@ -487,7 +487,7 @@ def _along_and_across(image: Image, wave: FloatArray) -> FloatArray:
     return np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
 
 
-class Bend(NamedTuple):
+class FieldTrials(NamedTuple):
     """How well phase fields predict boxes that they did not see.
 
     Attributes
@@ -504,17 +504,17 @@ class Bend(NamedTuple):
     both: list[ComplexArray]
 
 
-def bend(boxes: Boxes) -> Bend:
+def trial_fields(boxes: BoxSums) -> FieldTrials:
     """Smooth the phase at several stiffnesses and score each on boxes that it did not see.
 
     Parameters
     ----------
-    boxes : Boxes
+    boxes : BoxSums
         Demodulated at a refined wave.
 
     Returns
     -------
-    Bend
+    FieldTrials
     """
     stripes = boxes.stripes
     row, column = (np.indices(boxes.count.shape) + 0.5) * boxes.size
@@ -528,7 +528,7 @@ def bend(boxes: Boxes) -> Bend:
         fields.append((first, second))
         unseen = np.where(even, _unit(second), _unit(first))
         scores.append(float((boxes.turned * np.conj(unseen)).sum().real) / max(whole, 1e-300))
-    return Bend(
+    return FieldTrials(
         np.array(scores),
         [f for f, _ in fields],
         [s for _, s in fields],
@@ -541,21 +541,21 @@ def _unit(values: ComplexArray) -> ComplexArray:
     return np.asarray(np.where(size > 0, values / np.where(size > 0, size, 1), 1.0))
 
 
-def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
+def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
     """Return the phase field that predicts the clip best.
 
     Parameters
     ----------
     image : Image
-    boxes : Boxes
-    found : Bend
+    boxes : BoxSums
+    trials : FieldTrials
 
     Returns
     -------
     PhaseField
     """
-    best = int(np.argmax(found.scores / STRAIGHT))
-    even, odd, both = (f[best] for f in (found.even, found.odd, found.both))
+    best = int(np.argmax(trials.scores / STRAIGHT))
+    even, odd, both = (f[best] for f in (trials.even, trials.odd, trials.both))
     covered, fraction = covered_boxes(image, boxes)
     weight = np.where(covered, boxes.count, 0.0)
     product = even * np.conj(odd)
@@ -584,7 +584,7 @@ def bent(image: Image, boxes: Boxes, found: Bend) -> PhaseField:
 
 
 def _mean_wave(
-    image: Image, boxes: Boxes, field: ComplexArray, weight: FloatArray, smear: float
+    image: Image, boxes: BoxSums, field: ComplexArray, weight: FloatArray, smear: float
 ) -> tuple[FloatArray, FloatArray]:
     """Slope of the plane that fits the phase best, along and across the look, cycles/m.
 
@@ -628,7 +628,7 @@ def _forks(field: ComplexArray, weight: FloatArray) -> int:
 
 
 def _coherence_length(
-    image: Image, boxes: Boxes, field: ComplexArray, weight: FloatArray, mean: FloatArray
+    image: Image, boxes: BoxSums, field: ComplexArray, weight: FloatArray, mean: FloatArray
 ) -> float:
     """Lag at which the correlation of exp(i field), less its mean slope, falls to 1/e, m."""
     look = image.look

@@ -117,7 +117,7 @@ def published_amplitude(frequency, height, data):  # type: ignore[no-untyped-def
     """Raw a* of each range bin (ZC 3 and 4), phase zero at the track."""
     norm = 1.0 / np.sqrt(2.0 * np.pi * SIGMA_VARIANCE)
     wave = 2.0 * np.pi * frequency
-    incidence_angle = np.arctan(wave * height)
+    slope_angle = np.arctan(wave * height)
     result = np.zeros(data.mean.size)
     for i in range(result.size):
         r, altitude = data.ground_range[i], data.altitude[i]
@@ -128,8 +128,8 @@ def published_amplitude(frequency, height, data):  # type: ignore[no-untyped-def
                 continue
         offset = np.arctan2(altitude, r) - 0.5 * np.pi
         flat = np.exp(-(offset**2) / (2 * SIGMA_VARIANCE))
-        above = np.exp(-((offset + incidence_angle) ** 2) / (2 * SIGMA_VARIANCE))
-        below = np.exp(-((offset - incidence_angle) ** 2) / (2 * SIGMA_VARIANCE))
+        above = np.exp(-((offset + slope_angle) ** 2) / (2 * SIGMA_VARIANCE))
+        below = np.exp(-((offset - slope_angle) ** 2) / (2 * SIGMA_VARIANCE))
         result[i] = norm * (flat + 0.5 * (above - below) * np.cos(phase))
     return result
 

@@ -471,11 +471,11 @@ def fill_published(  # type: ignore[no-untyped-def]
         for i in range(n):
             elevation[i] = ripple.height * unit[i] - altitude
         fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
-    grazing, incidence_angle = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
+    grazing, slope_angle = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
     c = ripple.concentration
     flat = published_amplitude(grazing, c)
-    span = published_amplitude(grazing + incidence_angle, c) - published_amplitude(
-        grazing - incidence_angle, c
+    span = published_amplitude(grazing + slope_angle, c) - published_amplitude(
+        grazing - slope_angle, c
     )
     for i in range(n):
         amplitude = max(flat + 0.5 * span * derivative[i], 0.0)

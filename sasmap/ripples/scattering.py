@@ -110,9 +110,9 @@ def lit_amplitude(
         (ZC 3; the mean slope is zero for all three profiles).
     """
     extreme = np.asarray(extreme, float)
-    incidence_angle = np.arctan(np.asarray(steepness) * extreme)
+    slope_angle = np.arctan(np.asarray(steepness) * extreme)
     grazing = np.asarray(grazing, float)
-    span = cross_section(grazing + incidence_angle) - cross_section(grazing - incidence_angle)
+    span = cross_section(grazing + slope_angle) - cross_section(grazing - slope_angle)
     return np.asarray(cross_section(grazing) + span * np.asarray(slope) / (2 * extreme))
 
 

@@ -10,11 +10,11 @@ from sasmap.ripples.fit import fitted, lag_over_range, refined
 from sasmap.ripples.optimise import search
 from sasmap.ripples.phase import (
     STRAIGHT,
-    bend,
-    bent,
+    best_field,
     demodulate,
     refined_wave,
     rewaved,
+    trial_fields,
     turned_back,
 )
 from sasmap.ripples.pixels import spread_boxes
@@ -51,7 +51,9 @@ def both_fits():
     boxes = demodulate(image, made.wave)
     boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
     rigid = refined(task, fitted(task, field, boxes.trend, search))
-    curved = refined(task, fitted(task, bent(image, boxes, bend(boxes)), boxes.trend, search))
+    curved = refined(
+        task, fitted(task, best_field(image, boxes, trial_fields(boxes)), boxes.trend, search)
+    )
     return rigid, curved
 
 
@@ -62,7 +64,7 @@ def scores(made):
     boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
     upright = turned_back(image, boxes, lag_over_range(fitted(task, field, boxes.trend, search)))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
-    return bend(upright).scores
+    return trial_fields(upright).scores
 
 
 def test_straight_is_the_limit_of_bent():
@@ -106,7 +108,7 @@ def test_the_field_follows_the_true_phase():
     made = wandering_cell(1, noise=None)
     image, _, _, _, _ = summed(made.clip, made.wave)
     boxes = demodulate(image, made.wave)
-    field = bent(image, boxes, bend(boxes))
+    field = best_field(image, boxes, trial_fields(boxes))
     cycles = field.cycles
     row, column = image.rows_and_columns
     per_column, per_row, _ = field.per_pixel(image)

@@ -51,14 +51,14 @@ def test_flat_sea_floor_scatters_its_cross_section():
 
 def test_amplitude_spans_the_extreme_slopes():
     grazing, steepness = 0.3, 0.25
-    incidence_angle = np.arctan(steepness)
+    slope_angle = np.arctan(steepness)
     bright, dark = lit_amplitude(grazing, np.array([1.0, -1.0]), 1.0, steepness)
     assert (
         abs(
             bright
             - dark
-            - cross_section(grazing + incidence_angle)
-            + cross_section(grazing - incidence_angle)
+            - cross_section(grazing + slope_angle)
+            + cross_section(grazing - slope_angle)
         )
         < 1e-15
     )
