@@ -5,7 +5,7 @@
 Every clip is drawn from the default model itself (Talts et al. 2018): height, scattering law, crest
 profile, noise, blur and altitude from their priors, and the errors that the model allows for
 (the law's departure from its family, the profile's third harmonic, errors that pixels of a
-wavelength share). A clip holds 6 to 12 straight wavelengths of 16 to 60 pixels, seen at 5 to 50 m.
+wavelength share, a little light in shadow). A clip holds 6 to 12 straight wavelengths of 16 to 60 pixels, seen at 5 to 50 m.
 Ranks are of the truth among the draws; the band is that of the ECDF of as many uniform ranks.
 Clips whose ripple is not detected are left out: the selection depends on the image alone, so that
 intervals must be calibrated on the others.
@@ -22,6 +22,7 @@ from scipy import stats
 
 from sasmap.ripples import Clip, Prior, Quality, RippleSettings, estimate
 from sasmap.ripples.fit import (
+    DARK_ERROR,
     ERROR_CELLS,
     FOUND_TO,
     LAW_ERROR,
@@ -159,6 +160,7 @@ def simulate(
     column = np.broadcast_to(np.arange(n), low.shape)
     before, after = pulses[column, low % BINS], pulses[column, (low + 1) % BINS]
     mean = (before + (bins - low) * (after - before)) * level
+    mean += DARK_ERROR[0] * np.abs(rng.standard_normal(shape))[group[None, :], cell]
     mean += ripple.noise * (reach / geometry.range_middle) ** ripple.noise_slope
     wide = np.broadcast_to(reach, mean.shape)
     look = np.full(mean.shape, 90.0)
