@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sasmap.ripples.agreement import agreeing, distances_of
+from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
 from sasmap.ripples.information import Information, moments, multiplied
 from sasmap.ripples.looks import Looks, Shared, at_height, collect, law_factor, steepness_factor
@@ -187,6 +187,7 @@ def _fused(
         return [_assembled(s, (), {}, {}) for s in cells]
     distances, volumes = distances_of(looks, survey, _steepness(settings), len(cells))
     groups = [agreeing(d, s) for d, s in zip(distances, volumes, strict=True)]
+    groups = together(looks, survey, _steepness(settings), groups)
     known = _products(looks, survey, groups, settings)
     return [
         _assembled(summaries, groups[i], distances[i], known.get(i, {}))

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
-from sasmap.ripples.information import Information, heaviest, moments, multiplied
+from sasmap.ripples.information import Information, heaviest, log_integrals, products
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
@@ -30,10 +30,9 @@ from sasmap.ripples.looks import (
     LawLikelihood,
     Looks,
     Shared,
+    at_height,
     evidence_of_law,
     law_factor,
-    with_scatter,
-    without_scatter,
 )
 from sasmap.ripples.sampler import (
     LogDensity,
@@ -64,7 +63,7 @@ MOST_KEPT = 6
 # tails than a Gaussian.
 FREEDOM = 4.0
 # Most looks from which shared parameters are estimated: more would not change them.
-MOST_LOOKS = 400
+MOST_LOOKS = 240
 # Populations of laws, and the scale of the prior of the logit of the share of one: nearly uniform
 # from 0 to 1. Distance in prior standard deviations of n from which a second maximum is sought.
 POPULATIONS, WEIGHT_SD, APART = 2, 1.7, 0.8
@@ -290,8 +289,10 @@ def learn(
         return SurveyModel((first,), False)  # offsets are all 0
     some = None if looks is None else _thinned(looks)
 
+    cells = None if some is None else _Cells(some)
+
     def log_density(points: FloatArray) -> FloatArray:
-        values = [_log_posterior(np.clip(p, -9.0, 9.0), layout, some) for p in points]
+        values = [_log_posterior(np.clip(p, -9.0, 9.0), layout, cells) for p in points]
         return np.array(values)
 
     peaks = _peaks(layout, log_density)
@@ -402,68 +403,62 @@ def _thinned(looks: Looks) -> Looks:
     return looks.some(np.flatnonzero(np.isin(looks.cell, chosen)))
 
 
-def _log_posterior(point: FloatArray, layout: _Layout, looks: Looks | None) -> float:
+def _log_posterior(point: FloatArray, layout: _Layout, cells: _Cells | None) -> float:
     value = layout.log_prior(point)
-    if looks is None:
+    if cells is None:
         return value
-    each = [np.log(p.weight) + evidence(looks, p.shared) for p in layout.populations(point)]
-    return value + float(logsumexp(each, axis=0).sum())
+    each = [np.log(p.weight) + cells.evidence(p.shared) for p in layout.populations(point)]
+    return value + float(np.logaddexp.reduce(each).sum())
 
 
-def evidence(looks: Looks, shared: Shared) -> FloatArray:
-    """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
-
-    The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey, so
-    the steepness of many cells is not independent evidence about the law.
+class _Cells:
+    """Evidence of cells as a function of the shared parameters.
 
     Parameters
     ----------
     looks : Looks
-    shared : Shared
-
-    Returns
-    -------
-    ndarray
-        In the order of the cells' numbers. A cell may have differing passes, with a wider scatter.
+        Sorted by cell.
     """
-    _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
-    every = np.zeros(count.size)
-    several = count[cell] > 1
-    if looks.law is not None and not several.all():
-        alone = np.flatnonzero(~several)
-        law = LawLikelihood(*(v[alone] for v in looks.law))
-        every[cell[alone]] = evidence_of_law(law, shared)
-    if several.any():
-        part = looks.some(np.flatnonzero(several))
-        place = np.unique(cell[several], return_inverse=True)[1]
-        scatter = np.broadcast_to(shared.scatter, (place.size, 3))
-        factor, prior = without_scatter(part, shared), law_factor(shared, looks.with_law)
-        honest, odd = (
-            _evidence(with_scatter(factor, shared, s), prior, place, count[count > 1])
-            for s in (scatter, np.hypot(scatter, ODD_SCATTER))
-        )
-        every[count > 1] = np.logaddexp(np.log1p(-ODD) + honest, np.log(ODD) + odd)
-    return every
 
+    def __init__(self, looks: Looks) -> None:
+        _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
+        several = count[cell] > 1
+        self.size = count.size
+        self.single, self.multiple = np.flatnonzero(count == 1), np.flatnonzero(count > 1)
+        self.law = None
+        if looks.law is not None and self.single.size:
+            self.law = LawLikelihood(*(v[~several] for v in looks.law))
+        self.looks = looks.some(np.flatnonzero(several))
+        self.ends = np.cumsum(count[count > 1])
+        # passes that differ say nothing of what is shared: their evidence is that of any law
+        nothing = np.zeros(int(looks.swath.max()) + 1)
+        whole = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
+        any_law = Shared(LAW_MEAN, whole, np.zeros(2), nothing, ODD_SCATTER, expit(SHARE_LOGIT))
+        self.odd = self._together(any_law) + np.log(ODD)
 
-def _evidence(
-    factor: Information,
-    prior: Information,
-    cell: NDArray[np.int64],
-    count: NDArray[np.int64],
-) -> FloatArray:
-    order = np.argsort(cell, kind="stable")
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    total = Information(*(v[order[first]] for v in factor))
-    every, before = np.full(count.size, -np.inf), count > 0
-    for k in range(1, int(count.max())):  # the next look of every cell that has one
-        has = count > k
-        here = Information(*(v[has[before]] for v in total))
-        one = Information(*(v[order[(first + k)[has]]] for v in factor))
-        total, before = multiplied(here, one), has
-        level, total = settled(total, prior)
-        every[has] = logsumexp(np.maximum(level, LEAST_LEVEL), axis=1)
-    return every
+    def evidence(self, shared: Shared) -> FloatArray:
+        """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
+
+        The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey,
+        so the steepness of many cells is not independent evidence about the law. A cell may have
+        differing passes.
+        """
+        every = np.zeros(self.size)
+        if self.law is not None:
+            every[self.single] = evidence_of_law(self.law, shared)
+        if self.multiple.size:
+            honest = self._together(shared) + np.log1p(-ODD)
+            every[self.multiple] = np.logaddexp(honest, self.odd)
+        return every
+
+    def _together(self, shared: Shared) -> FloatArray:
+        """Log evidence of the cells of several looks."""
+        if not self.multiple.size:
+            return np.zeros(0)
+        scatter = np.broadcast_to(shared.scatter, (self.looks.cell.size, 3))
+        factor = at_height(self.looks, shared, scatter)
+        prior = law_factor(shared, self.looks.with_law)
+        return np.maximum(products(factor, self.ends, prior, MOST_KEPT), LEAST_LEVEL)
 
 
 def settled(total: Information, prior: Information) -> tuple[FloatArray, Information]:
@@ -480,7 +475,7 @@ def settled(total: Information, prior: Information) -> tuple[FloatArray, Informa
     level : ndarray (cells, at most MOST_KEPT)
     total : Information (cells, at most MOST_KEPT)
     """
-    level = moments(with_prior(total, prior))[0]
+    level = log_integrals(with_prior(total, prior))
     kept = heaviest(total, level, MOST_KEPT)
     return heaviest(Information(level, total.linear, total.precision), level, MOST_KEPT).level, kept
 
