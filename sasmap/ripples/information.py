@@ -89,10 +89,22 @@ def widened(factor: Information, sd: FloatArray) -> Information:
 
 
 def moments(factor: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Log of the integral (...), mean (..., D) and covariance (..., D, D) of each component."""
-    level = log_integrals(factor)
-    covariance: FloatArray = np.asarray(np.linalg.inv(factor.precision), float)
-    mean: FloatArray = np.einsum("...ij,...j->...i", covariance, factor.linear)
+    """Log of the integral (...), mean (..., D) and covariance (..., D, D) of each component.
+
+    A component without an integral has level minus infinity, mean 0 and covariance 1.
+    """
+    linear = np.ascontiguousarray(factor.linear)
+    size = linear.shape[-1]
+    level, mean = np.empty(factor.level.shape), np.zeros(linear.shape)
+    covariance = np.empty((*linear.shape, size))
+    _moments(
+        np.ascontiguousarray(factor.level).reshape(-1),
+        linear.reshape(-1, size),
+        np.ascontiguousarray(factor.precision).reshape(-1, size, size),
+        level.reshape(-1),
+        mean.reshape(-1, size),
+        covariance.reshape(-1, size, size),
+    )
     return level, mean, covariance
 
 
@@ -189,6 +201,26 @@ def _integrate(level, linear, precision, result):  # type: ignore[no-untyped-def
     matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
     for r in range(n):
         result[r] = _integral(level[r], linear[r], precision[r], matrix, pivots, vector)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _moments(level, linear, precision, result, mean, covariance):  # type: ignore[no-untyped-def]
+    """Fill in log integrals (n,), means (n, D) and covariances (n, D, D)."""
+    n, size = linear.shape
+    matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
+    for r in range(n):
+        result[r] = -np.inf
+        if level[r] > -np.inf:
+            result[r] = _integral(level[r], linear[r], precision[r], matrix, pivots, vector)
+        there = result[r] > -np.inf
+        if there:
+            mean[r] = vector
+        for j in range(size):
+            vector[:] = 0.0
+            vector[j] = 1.0
+            if there:
+                _solve(matrix, pivots, vector)
+            covariance[r, :, j] = vector
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
