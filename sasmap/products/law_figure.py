@@ -8,12 +8,14 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from sasmap.products.figures import Picture, encoded
-from sasmap.ripples.survey import SurveyModel
+from sasmap.ripples.survey import SurveyModel, quantiles_of
 
 FloatArray = NDArray[np.float64]
 
 # Laws drawn beside the estimated one: exponent n, concentration c, and the line style.
 OTHERS = {"Lambert": (2.0, 0.0, "--"), "Zare and Cobb": (0.0, 3 / np.pi, ":")}
+# Of the estimated laws: blue, vermilion.
+COLOURS = ("#0072b2", "#d55e00")
 # Ratio of the widths of posterior and prior intervals of n below which the data constrain the law
 # (a choice), and the 90 % interval of a Gaussian prior in standard deviations.
 FIXED = 0.5
@@ -42,14 +44,16 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
         return None
     degrees = np.geomspace(max(grazing[0] / 3, 1.0), 75.0, 120)
     middle = float(np.sqrt(grazing[0] * grazing[1]))
-    levels = np.array(
-        [level(float(v.law[0]), float(v.law[1]), degrees, middle) for v in survey.values]
-    )
-    low, centre, high = np.quantile(levels, (0.05, 0.5, 0.95), axis=0)
     figure = Figure(figsize=(5.2, 2.8), layout="constrained")
     axes = figure.add_subplot()
-    axes.fill_between(degrees, low, high, color="#0072b2", alpha=0.25, linewidth=0)
-    axes.plot(degrees, centre, color="#0072b2", label="estimated, with 90 % interval")
+    for number, (draws, colour) in enumerate(zip(survey.found, COLOURS, strict=False), 1):
+        levels = np.array(
+            [level(float(p.shared.law[0]), float(p.shared.law[1]), degrees, middle) for p in draws]
+        )
+        low, centre, high = np.quantile(levels, (0.05, 0.5, 0.95), axis=0)
+        axes.fill_between(degrees, low, high, color=colour, alpha=0.25, linewidth=0)
+        name = f"law {number}" if survey.apart else "estimated"
+        axes.plot(degrees, centre, color=colour, label=f"{name}, with 90 % interval")
     for name, (n, c, line) in OTHERS.items():
         axes.plot(degrees, level(n, c, degrees, middle), line, color="#333333", label=name)
     axes.axvspan(*grazing, color="#000000", alpha=0.06, linewidth=0)
@@ -77,13 +81,21 @@ def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
 def law_caption(survey: SurveyModel) -> str:
     """Describe the estimated law, or say that the data do not constrain it."""
     quantiles = survey.quantiles()
-    (n_low, c_low), (n, c), (n_high, c_high) = quantiles["law"]
-    spread = quantiles["spread"][1]
-    text = (
-        f"Scattering law sin(θ)^n exp(-c (θ - 90°)²) of the survey: n {n:.2f} ({n_low:.2f} to "
-        f"{n_high:.2f}), c {c:.2f} ({c_low:.2f} to {c_high:.2f}); from look to look n differs by "
-        f"{spread[0]:.2f}, c by {spread[1]:.2f} (standard deviations)."
-    )
+    text = "Scattering law sin(θ)^n exp(-c (θ - 90°)²) of the survey: " + _numbers(quantiles)
+    if survey.apart:
+        laws = [
+            f"law {i} ({100 * np.mean([p.weight for p in draws]):.0f} % of the cells): "
+            + _numbers(quantiles_of([p.shared for p in draws]))
+            for i, draws in enumerate(survey.found, 1)
+        ]
+        text = (
+            "Two scattering laws sin(θ)^n exp(-c (θ - 90°)²) are told apart; "
+            + "; ".join(laws)
+            + ". A cell that does not say which law is its own has the heights of both."
+        )
+        return text
+    n_low, n_high = quantiles["law"][0][0], quantiles["law"][2][0]
+    text += "."
     low, shift, high = (float(q[0]) for q in quantiles["shift"])
     if low * high > 0 and abs(shift) > BENT:
         text += (
@@ -96,3 +108,13 @@ def law_caption(survey: SurveyModel) -> str:
             "the intervals of the heights are wide."
         )
     return text
+
+
+def _numbers(quantiles: dict[str, FloatArray]) -> str:
+    """Write n and c with their 90 % intervals and spreads."""
+    (n_low, c_low), (n, c), (n_high, c_high) = quantiles["law"]
+    spread = quantiles["spread"][1]
+    return (
+        f"n {n:.2f} ({n_low:.2f} to {n_high:.2f}), c {c:.2f} ({c_low:.2f} to {c_high:.2f}); from "
+        f"look to look n differs by {spread[0]:.2f}, c by {spread[1]:.2f} (standard deviations)"
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -179,7 +179,28 @@ def _shared(survey: SurveyModel | None) -> dict[str, Any]:
                 )
                 key = f"{field}_{name.split()[0]}"
                 variables[key] = ("statistic", values[:, i], {"units": "1", "long_name": about})
+    if survey.apart:
+        variables |= _sediments(survey, summed)
     return variables
+
+
+def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]) -> dict[str, Any]:
+    """Collect the laws (statistic, sediment) that the survey tells apart."""
+    described = {
+        "share": "share of the cells",
+        "exponent": "exponent n of the scattering law, mean over the sediment",
+        "concentration": "concentration c of the scattering law, mean over the sediment",
+    }
+    columns = [summed([(p.weight, *p.shared.law) for p in draws]) for draws in survey.found]
+    values = np.stack(columns, axis=1)
+    return {
+        f"sediment_{name}": (
+            ("statistic", "sediment"),
+            values[..., i],
+            {"units": "1", "long_name": f"{about}; sediments with laws told apart"},
+        )
+        for i, (name, about) in enumerate(described.items())
+    }
 
 
 def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, int]) -> Any:

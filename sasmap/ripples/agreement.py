@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from sasmap.ripples.information import Information, moments
 from sasmap.ripples.looks import (
     LAW,
+    LOG_HEIGHT,
     Looks,
+    at_height,
     law_factor,
     steepness_factor,
     with_scatter,
@@ -23,6 +25,8 @@ FloatArray = NDArray[np.float64]
 # Squared Mahalanobis distance (chi-squared with 3 degrees of freedom) beyond which two looks
 # contradict each other: exceeded by one consistent pair in two thousand.
 LIMIT = 17.7
+# The same, for A_H alone (1 degree of freedom) of a look and of all others of its group together.
+HEIGHT_LIMIT = 12.1
 # Most looks of which every group is tried; of more, one at a time is dropped (bounds the time).
 MOST_TRIED = 10
 # Least weight of the components that are compared between looks (a choice).
@@ -87,25 +91,118 @@ def _apart(
 ) -> FloatArray:
     """Squared distance of pairs of looks (pairs,), given a common law."""
     both = [Information(*(v[rows] for v in factor)) for rows in (a, b)]
-    ours = [given_law(one) for one in both]
+    ours, theirs = (given_law(one) for one in both)
     k = factor.level.shape[1]
     best = np.full(len(a), np.inf)
     for i in range(k):
         for j in range(k):
-            (m1, s1, c1, p1, l1), (m2, s2, c2, p2, l2) = (
-                tuple(v[:, n] for v in one) for one, n in zip(ours, (i, j), strict=True)
+            offset, noise = _difference(
+                tuple(v[:, i] for v in ours), tuple(v[:, j] for v in theirs), prior
             )
-            offset, noise = m1 - m2, c1 + c2
-            if s1.shape[-1]:
-                law = np.linalg.inv(prior.precision[0, LAW, LAW] + p1 + p2)
-                at = np.einsum("nij,nj->ni", law, prior.linear[0, LAW] + l1 + l2)
-                slope = s1 - s2
-                offset = offset + np.einsum("nij,nj->ni", slope, at)
-                noise = noise + slope @ law @ np.swapaxes(slope, -1, -2)
             solved = np.linalg.solve(noise, offset[..., None])[..., 0]
             square = (offset * solved).sum(axis=1)
             best = np.minimum(best, np.where(heavy[a, i] & heavy[b, j], square, np.inf))
     return best
+
+
+def _difference(
+    first: tuple[FloatArray, ...], second: tuple[FloatArray, ...], prior: Information
+) -> tuple[FloatArray, FloatArray]:
+    """Difference of log f, log A_H and azimuth (n, 3) given a common law, and its covariance.
+
+    Each look is one component of :func:`given_law`.
+    """
+    (m1, s1, c1, p1, l1), (m2, s2, c2, p2, l2) = first, second
+    offset, noise = m1 - m2, c1 + c2
+    if s1.shape[-1]:
+        law = np.linalg.inv(prior.precision[0, LAW, LAW] + p1 + p2)
+        at = np.einsum("nij,nj->ni", law, prior.linear[0, LAW] + l1 + l2)
+        slope = s1 - s2
+        offset = offset + np.einsum("nij,nj->ni", slope, at)
+        noise = noise + slope @ law @ np.swapaxes(slope, -1, -2)
+    return offset, noise
+
+
+def together(
+    looks: Looks,
+    survey: SurveyModel,
+    steepness: tuple[float, float],
+    groups: list[tuple[int, ...]],
+) -> list[tuple[int, ...]]:
+    """Drop looks whose A_H differs from that of all others of their group together.
+
+    Several looks that determine A_H poorly, each by itself, do so better together.
+
+    Parameters
+    ----------
+    looks : Looks
+    survey : SurveyModel
+    steepness : tuple of float
+        As for :func:`distances_of`.
+    groups : list of tuple of int
+        Swaths that agree pair by pair, of each cell.
+
+    Returns
+    -------
+    list of tuple of int
+        Groups of less than three looks are left as they are.
+    """
+    groups = list(groups)
+    rows = np.array(
+        [
+            r
+            for r, (i, k) in enumerate(zip(looks.cell, looks.swath, strict=True))
+            if len(groups[i]) > 2 and k in groups[i]
+        ],
+        int,
+    )
+    if not rows.size:
+        return groups
+    some = looks.some(rows)
+    middle = survey.middle
+    scatter = np.broadcast_to(middle.scatter, (rows.size, 3))
+    prior = law_factor(survey.widest, looks.with_law)
+    whole = with_prior(prior, steepness_factor(some.factor.linear.shape[-1], steepness))
+    own = _matched(at_height(some, middle, scatter), whole)
+    while rows.size:
+        total = np.zeros((len(groups), *own.precision.shape[1:]))
+        linear = np.zeros((len(groups), *own.linear.shape[1:]))
+        np.add.at(total, some.cell, own.precision)
+        np.add.at(linear, some.cell, own.linear)
+        rest = Information(
+            own.level, linear[some.cell] - own.linear, total[some.cell] - own.precision
+        )
+        one, other = (tuple(v[:, 0] for v in given_law(part)) for part in (own, rest))
+        offset, noise = _difference(one, other, prior)
+        square = offset[:, LOG_HEIGHT] ** 2 / noise[:, LOG_HEIGHT, LOG_HEIGHT]
+        worst = np.zeros(len(groups))
+        np.maximum.at(worst, some.cell, square)
+        lost = (square == worst[some.cell]) & (square > HEIGHT_LIMIT)
+        for i, k in zip(some.cell[lost], some.swath[lost], strict=True):
+            groups[i] = tuple(g for g in groups[i] if g != k)
+        # only cells that lost a look, and still have three, are looked at again
+        again = np.isin(some.cell, some.cell[lost]) & ~lost
+        again &= np.array([len(groups[i]) > 2 for i in some.cell])
+        rows, some = rows[again], some.some(np.flatnonzero(again))
+        own = Information(*(v[again] for v in own))
+    return groups
+
+
+def _matched(factor: Information, prior: Information) -> Information:
+    """Replace mixtures by one component each, with the moments that they have under a prior."""
+    level, mean, covariance = moments(with_prior(factor, prior))
+    weight = np.exp(level - level.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    centre = np.einsum("nk,nki->ni", weight, mean)
+    apart = mean - centre[:, None]
+    spread = covariance + apart[..., :, None] * apart[..., None, :]
+    precision = np.linalg.inv(np.einsum("nk,nkij->nij", weight, spread))
+    linear = np.einsum("nij,nj->ni", precision, centre)
+    return Information(
+        np.zeros((len(level), 1)),
+        linear[:, None] - prior.linear,
+        precision[:, None] - prior.precision,
+    )
 
 
 def given_law(

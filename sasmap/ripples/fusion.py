@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sasmap.ripples.agreement import agreeing, distances_of
+from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
 from sasmap.ripples.information import Information, moments, multiplied
 from sasmap.ripples.looks import Looks, Shared, at_height, collect, law_factor, steepness_factor
@@ -28,7 +28,14 @@ from sasmap.ripples.priors import Prior
 from sasmap.ripples.registration import Moves, left_over, registration
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
-from sasmap.ripples.survey import MOST_KEPT, SurveyModel, learn, settled, with_prior
+from sasmap.ripples.survey import (
+    MOST_KEPT,
+    Populations,
+    SurveyModel,
+    learn,
+    settled,
+    with_prior,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -180,6 +187,7 @@ def _fused(
         return [_assembled(s, (), {}, {}) for s in cells]
     distances, volumes = distances_of(looks, survey, _steepness(settings), len(cells))
     groups = [agreeing(d, s) for d, s in zip(distances, volumes, strict=True)]
+    groups = together(looks, survey, _steepness(settings), groups)
     known = _products(looks, survey, groups, settings)
     return [
         _assembled(summaries, groups[i], distances[i], known.get(i, {}))
@@ -285,7 +293,7 @@ def _products(
     size = np.array([len(g) for g in groups])
     used = np.array([k in groups[i] for i, k in zip(looks.cell, looks.swath, strict=True)])
     several = (size[looks.cell] > 1)[:, None]
-    parts = [_after_each(looks, s, used, several, settings) for s in survey.values]
+    parts = [_averaged(looks, d, used, several, settings) for d in survey.draws]
     result: dict[int, dict[int, CellEstimate]] = {}
     for k in parts[0]:
         rows = parts[0][k][0]
@@ -298,16 +306,40 @@ def _products(
     return result
 
 
+_After = dict[int, tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray]]
+
+
+def _averaged(
+    looks: Looks,
+    populations: Populations,
+    used: NDArray[np.bool_],
+    several: NDArray[np.bool_],
+    settings: RippleSettings,
+) -> _After:
+    """Average over the populations that a cell's law may be of, by share and evidence."""
+    parts = [_after_each(looks, p.shared, used, several, settings) for p in populations]
+    result: _After = {}
+    for k, (rows, *_) in parts[0].items():
+        level = np.concatenate(
+            [part[k][1] + np.log(p.weight) for part, p in zip(parts, populations, strict=True)],
+            axis=1,
+        )
+        level = level - logsumexp(level, axis=1, keepdims=True)
+        mean, covariance = (np.concatenate([p[k][i] for p in parts], axis=1) for i in (2, 3))
+        result[k] = rows, level, mean, covariance
+    return result
+
+
 def _after_each(
     looks: Looks,
     shared: Shared,
     used: NDArray[np.bool_],
     several: NDArray[np.bool_],
     settings: RippleSettings,
-) -> dict[int, tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray]]:
+) -> _After:
     """Multiply looks swath by swath.
 
-    For each swath its rows, and the log weight, mean and covariance of log f, log A_H and azimuth
+    For each swath its rows, and the log evidence, mean and covariance of log f, log A_H and azimuth
     of their cells after it.
     """
     factor = at_height(looks, shared, np.where(several, shared.scatter, 0.0))
@@ -336,9 +368,8 @@ def _after_each(
         if rows.size:
             here = looks.cell[rows]
             total = Information(*(v[here] for v in state))
-            weight, mean, covariance = moments(with_prior(total, prior))
-            weight = weight - logsumexp(weight, axis=1, keepdims=True)
-            result[int(k)] = (rows, weight, mean[..., :3], covariance[..., :3, :3])
+            level, mean, covariance = moments(with_prior(total, prior))
+            result[int(k)] = (rows, level, mean[..., :3], covariance[..., :3, :3])
     return result
 
 

@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from sasmap.ripples.information import Information, transformed, widened
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
+from sasmap.ripples.sampler import log_sum
 from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
 
 FloatArray = NDArray[np.float64]
@@ -399,7 +399,8 @@ def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:
     determinant = np.where(possible, determinant, 1.0)
     level = law.level + gain + 0.5 * (square / determinant - np.log(determinant))
     level += 0.5 * (np.log(weight) - weight * shared.law**2).sum()
-    return np.asarray(logsumexp(np.where(possible, level, LEAST_LEVEL), axis=1))
+    level = np.where(possible, level, LEAST_LEVEL)
+    return np.asarray(log_sum(level.T))
 
 
 def _shape_corrected(law: LawLikelihood, shared: Shared) -> tuple[FloatArray, FloatArray]:

@@ -2,20 +2,26 @@
 
 Each look at a cell is estimated alone, under a broad prior of the scattering law. The shared
 parameters are estimated here from the looks' posteriors (Lunn, Barrett, Sweeting and Thompson
-2013): mean of the law and its spread from look to look, altitude offset of each swath, and scatter
-between passes over one cell. Looks with shadow inform the law for looks without.
+2013): the laws of two sediments with their spreads from look to look, altitude offset of each
+swath, and scatter between passes over one cell. Looks with shadow inform the law for looks without.
+
+A survey may cover two sediments. Laws are drawn from a mixture of two populations, each with its
+mean, spread, bias of the echo shape, and share of the cells. Where there is one sediment, the two
+coincide or one has no cells: the posterior of a mixture with more components than the data need
+empties or merges them (Rousseau and Mengersen 2011).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
-from sasmap.ripples.information import Information, heaviest, moments, multiplied
+from sasmap.ripples.information import Information, heaviest, log_integrals, products
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
@@ -24,10 +30,9 @@ from sasmap.ripples.looks import (
     LawLikelihood,
     Looks,
     Shared,
+    at_height,
     evidence_of_law,
     law_factor,
-    with_scatter,
-    without_scatter,
 )
 from sasmap.ripples.sampler import (
     LogDensity,
@@ -35,7 +40,7 @@ from sasmap.ripples.sampler import (
     mixture_of_peaks,
     population,
 )
-from sasmap.ripples.summary import log_contrast
+from sasmap.ripples.summary import contrast_slopes, log_contrast
 
 FloatArray = NDArray[np.float64]
 
@@ -58,10 +63,48 @@ MOST_KEPT = 6
 # tails than a Gaussian.
 FREEDOM = 4.0
 # Most looks from which shared parameters are estimated: more would not change them.
-MOST_LOOKS = 400
+MOST_LOOKS = 240
+# Populations of laws, and the scale of the prior of the logit of the share of one: nearly uniform
+# from 0 to 1. Distance in prior standard deviations of n from which a second maximum is sought.
+POPULATIONS, WEIGHT_SD, APART = 2, 1.7, 0.8
+# Two populations are told apart where their means differ by this many standard deviations (Ashman,
+# Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share of the
+# cells, in this share of the draws.
+SEPARATION, LEAST_WEIGHT, SURE = 2.0, 0.1, 0.95
 # Step of numerical derivatives; iterations of the ascent and its largest step, in prior standard
 # deviations; chains and their steps; number of draws that represent the posterior.
 STEP, CLIMB, FARTHEST, CHAINS, STEPS, VALUES = 1e-2, 40, 5.0, 4, 60, 24
+
+
+class Population(NamedTuple):
+    """A population of scattering laws: its share of the cells, and the shared parameters with it.
+
+    Attributes
+    ----------
+    weight : float
+    shared : Shared
+    """
+
+    weight: float
+    shared: Shared
+
+
+Populations = tuple[Population, ...]
+
+
+def merged(populations: Populations) -> Shared:
+    """Return the shared parameters with the mean and standard deviation of all laws together."""
+    weight = np.array([p.weight for p in populations])
+    law, spread, shift = (
+        np.array([getattr(p.shared, name) for p in populations])
+        for name in ("law", "spread", "shift")
+    )
+    mean = weight @ law
+    total = np.sqrt(weight @ (spread**2 + (law - mean) ** 2))
+    most = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
+    return populations[0].shared._replace(
+        law=mean, spread=np.minimum(total, most), shift=weight @ shift
+    )
 
 
 class SurveyModel(NamedTuple):
@@ -70,13 +113,31 @@ class SurveyModel(NamedTuple):
     Attributes
     ----------
     values : tuple of Shared
-        Draws of equal weight.
+        Draws of equal weight, with all laws as one population.
     learned : bool
         Whether the law was estimated rather than fixed by the settings.
+    populations : tuple of tuple of Population
+        Of each draw, in increasing order of contrast; empty where `values` says all.
+    apart : bool
+        Whether the draws tell two populations apart.
     """
 
     values: tuple[Shared, ...]
     learned: bool
+    populations: tuple[Populations, ...] = ()
+    apart: bool = False
+
+    @property
+    def draws(self) -> tuple[Populations, ...]:
+        """Populations of each draw."""
+        return self.populations or tuple((Population(1.0, v),) for v in self.values)
+
+    @property
+    def found(self) -> tuple[tuple[Population, ...], ...]:
+        """Draws of each law that the survey tells apart: of one or of two."""
+        if self.apart:
+            return tuple(zip(*self.populations, strict=True))
+        return (tuple(Population(1.0, v) for v in self.values),)
 
     @property
     def middle(self) -> Shared:
@@ -93,10 +154,17 @@ class SurveyModel(NamedTuple):
 
     def quantiles(self, shares: tuple[float, ...] = (0.05, 0.5, 0.95)) -> dict[str, FloatArray]:
         """Quantiles of the law and its spread (shares, 2), and of the swaths' offsets."""
-        return {
-            name: np.quantile([getattr(v, name) for v in self.values], shares, axis=0)
-            for name in Shared._fields
-        }
+        return quantiles_of(self.values, shares)
+
+
+def quantiles_of(
+    values: Sequence[Shared], shares: tuple[float, ...] = (0.05, 0.5, 0.95)
+) -> dict[str, FloatArray]:
+    """Quantiles of each shared parameter over draws."""
+    return {
+        name: np.quantile([getattr(v, name) for v in values], shares, axis=0)
+        for name in Shared._fields
+    }
 
 
 class _Layout:
@@ -120,45 +188,66 @@ class _Layout:
         self, law: bool, offset_sd: FloatArray, scatter: FloatArray | None, passes: bool
     ) -> None:
         self.law, self.offset_sd, self.scatter = law, offset_sd, scatter
+        each = 2 * POPULATIONS * law
         sizes = {
-            "law": 2 * law,
-            "spread": 2 * law,
+            "law": each,
+            "spread": each,
+            "weight": (POPULATIONS - 1) * law,
             "share": int(law and passes),
             "scatter": 3 * int(passes and scatter is None),
-            "shift": 2 * law,
+            "shift": each,
             "offset": int((offset_sd > 0).sum()),
         }
         ends = np.cumsum(list(sizes.values()))
-        self._place = {
+        self.place = {
             name: slice(int(end) - size, int(end))
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.size = int(ends[-1])
         # heavy-tailed priors: shift and offsets
-        self._gaussian = int(ends[3])
+        self._gaussian = self.place["shift"].start
 
-    def shared(self, point: FloatArray) -> Shared:
-        """Return the shared parameters of a vector."""
+    def populations(self, point: FloatArray) -> Populations:
+        """Return the populations, and with each the shared parameters, of a vector."""
 
         def at(name: str, count: int) -> FloatArray:
-            values = point[self._place[name]]
+            values = point[self.place[name]]
             return values if values.size else np.zeros(count)
 
         most = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
         offset = np.zeros(self.offset_sd.size)
         free = self.offset_sd > 0
-        offset[free] = point[self._place["offset"]] * self.offset_sd[free]
+        offset[free] = point[self.place["offset"]] * self.offset_sd[free]
         scatter = self.scatter
         if scatter is None:
             scatter = np.exp(SCATTER_LOG + SCATTER_SD * at("scatter", 3))
-        return Shared(
-            LAW_MEAN + np.sqrt(LAW_VARIANCE) * at("law", 2),
-            np.minimum(np.exp(SPREAD_LOG + SPREAD_SD * at("spread", 2)), most),
-            SHIFT_SD * at("shift", 2),
-            offset,
-            scatter,
-            float(expit(SHARE_LOGIT + SHARE_SD * at("share", 1)[0])),
+        count = POPULATIONS if self.law else 1
+        law, spread, shift = (
+            at(name, 2 * count).reshape(count, 2) for name in ("law", "spread", "shift")
         )
+        first = float(expit(WEIGHT_SD * at("weight", 1)[0])) if self.law else 1.0
+        of_look = float(expit(SHARE_LOGIT + SHARE_SD * at("share", 1)[0]))
+        return tuple(
+            Population(
+                weight,
+                Shared(
+                    LAW_MEAN + np.sqrt(LAW_VARIANCE) * law[k],
+                    np.minimum(np.exp(SPREAD_LOG + SPREAD_SD * spread[k]), most),
+                    SHIFT_SD * shift[k],
+                    offset,
+                    scatter,
+                    of_look,
+                ),
+            )
+            for k, weight in enumerate([first, 1 - first][:count])
+        )
+
+    def split(self, point: FloatArray, apart: float) -> FloatArray:
+        """Move the means of n of the two populations apart, and their shifts against them."""
+        moved = point.copy()
+        for name, step in (("law", apart), ("shift", -apart)):
+            moved[self.place[name]] += step * np.array([1.0, 0.0, -1.0, 0.0])
+        return moved
 
     def log_prior(self, point: FloatArray) -> float:
         """Log prior density, up to a constant."""
@@ -196,35 +285,84 @@ def learn(
         looks, rank = _in_order(looks, swaths)
     layout = _layout(looks, swaths, scatter)
     if layout.size == 0:
-        return SurveyModel((layout.shared(np.zeros(0)),), False)  # offsets are all 0
+        first = layout.populations(np.zeros(0))[0].shared
+        return SurveyModel((first,), False)  # offsets are all 0
     some = None if looks is None else _thinned(looks)
 
+    cells = None if some is None else _Cells(some)
+
     def log_density(points: FloatArray) -> FloatArray:
-        values = [_log_posterior(np.clip(p, -9.0, 9.0), layout, some) for p in points]
+        values = [_log_posterior(np.clip(p, -9.0, 9.0), layout, cells) for p in points]
         return np.array(values)
 
-    best = minimize(
-        lambda p: -log_density(p[None])[0],
-        np.zeros(layout.size),
-        method="L-BFGS-B",
-        bounds=[(-FARTHEST, FARTHEST)] * layout.size,
-        options={"maxiter": CLIMB, "ftol": 1e-6, "eps": STEP},
-    )
-    proposal = mixture_of_peaks([(best.x, _covariance(best.x, log_density), 0.0)])
-    particles, proposal = population(log_density, proposal, rng)
+    peaks = _peaks(layout, log_density)
+    particles, proposal = population(log_density, mixture_of_peaks(peaks), rng)
     states = particles[rng.permutation(len(particles))[:CHAINS]]
     chains = metropolis_hastings(log_density, proposal, particles, states, STEPS, rng)
     points = chains.draws[:, STEPS // 4 :].reshape(-1, layout.size)
-    # draws that represent the posterior: evenly over the quantity that A_H depends on
+    return _model(points, layout, some, rank)
+
+
+def _peaks(layout: _Layout, log_density: LogDensity) -> list[tuple[FloatArray, FloatArray, float]]:
+    """Climb to the maxima: of like populations, and of unlike ones; place, covariance, weight."""
+    starts = [np.zeros(layout.size)]
+    peaks: list[tuple[FloatArray, FloatArray, float]] = []
+    best = -np.inf
+    while starts:
+        reached = minimize(
+            lambda p: -log_density(p[None])[0],
+            starts.pop(),
+            method="L-BFGS-B",
+            bounds=[(-FARTHEST, FARTHEST)] * layout.size,
+            options={"maxiter": CLIMB, "ftol": 1e-6, "eps": STEP},
+        )
+        if layout.law and not peaks:
+            starts = [layout.split(reached.x, APART)]
+        covariance = _covariance(reached.x, log_density)
+        level = 0.5 * np.linalg.slogdet(covariance)[1] - float(reached.fun)
+        peaks.append((reached.x, covariance, level))
+        best = max(best, level)
+    return [(place, covariance, level - best) for place, covariance, level in peaks]
+
+
+def _model(
+    points: FloatArray, layout: _Layout, looks: Looks | None, rank: NDArray[np.int64]
+) -> SurveyModel:
+    """Choose draws that represent the posterior: evenly over the quantity that A_H depends on."""
+    draws = [layout.populations(p) for p in points]
     key = points[:, 0]
-    if layout.law and some is not None:
-        laws = np.array([layout.shared(p).law for p in points])
-        key = log_contrast(laws, np.median(some.tangent))
+    if layout.law and looks is not None:
+        tangent = float(np.median(looks.tangent))
+        draws = [tuple(sorted(d, key=lambda p: _contrast(p, tangent))) for d in draws]
+        key = log_contrast(np.array([merged(d).law for d in draws]), tangent)
     order = np.argsort(key, kind="stable")
     chosen = order[((np.arange(VALUES) + 0.5) * len(order) / VALUES).astype(int)]
-    values = [layout.shared(points[i]) for i in chosen]
-    values = [v._replace(offset=v.offset[rank]) for v in values]
-    return SurveyModel(tuple(values), layout.law)
+    kept = [
+        tuple(p._replace(shared=p.shared._replace(offset=p.shared.offset[rank])) for p in draws[i])
+        for i in chosen
+    ]
+    apart = layout.law and looks is not None and _told_apart(draws, tangent)
+    return SurveyModel(
+        tuple(merged(d) for d in kept), layout.law, tuple(kept) if layout.law else (), apart
+    )
+
+
+def _contrast(one: Population, tangent: float) -> float:
+    return float(log_contrast(one.shared.law, tangent))
+
+
+def _told_apart(draws: Sequence[Populations], tangent: float) -> bool:
+    """Whether nearly all draws have two populations that do not overlap in contrast."""
+    apart = 0
+    for first, second in draws:
+        variance = sum(
+            float(((contrast_slopes(p.shared.law, tangent) * p.shared.spread) ** 2).sum())
+            for p in (first, second)
+        )
+        gap = abs(_contrast(first, tangent) - _contrast(second, tangent))
+        clear = gap > SEPARATION * np.sqrt(0.5 * variance)
+        apart += clear and min(first.weight, second.weight) > LEAST_WEIGHT
+    return apart >= SURE * len(draws)
 
 
 def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
@@ -265,67 +403,62 @@ def _thinned(looks: Looks) -> Looks:
     return looks.some(np.flatnonzero(np.isin(looks.cell, chosen)))
 
 
-def _log_posterior(point: FloatArray, layout: _Layout, looks: Looks | None) -> float:
+def _log_posterior(point: FloatArray, layout: _Layout, cells: _Cells | None) -> float:
     value = layout.log_prior(point)
-    if looks is None:
+    if cells is None:
         return value
-    return value + float(evidence(looks, layout.shared(point)).sum())
+    each = [np.log(p.weight) + cells.evidence(p.shared) for p in layout.populations(point)]
+    return value + float(np.logaddexp.reduce(each).sum())
 
 
-def evidence(looks: Looks, shared: Shared) -> FloatArray:
-    """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
-
-    The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey, so
-    the steepness of many cells is not independent evidence about the law.
+class _Cells:
+    """Evidence of cells as a function of the shared parameters.
 
     Parameters
     ----------
     looks : Looks
-    shared : Shared
-
-    Returns
-    -------
-    ndarray
-        In the order of the cells' numbers. A cell may have differing passes, with a wider scatter.
+        Sorted by cell.
     """
-    _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
-    every = np.zeros(count.size)
-    several = count[cell] > 1
-    if looks.law is not None and not several.all():
-        alone = np.flatnonzero(~several)
-        law = LawLikelihood(*(v[alone] for v in looks.law))
-        every[cell[alone]] = evidence_of_law(law, shared)
-    if several.any():
-        part = looks.some(np.flatnonzero(several))
-        place = np.unique(cell[several], return_inverse=True)[1]
-        scatter = np.broadcast_to(shared.scatter, (place.size, 3))
-        factor, prior = without_scatter(part, shared), law_factor(shared, looks.with_law)
-        honest, odd = (
-            _evidence(with_scatter(factor, shared, s), prior, place, count[count > 1])
-            for s in (scatter, np.hypot(scatter, ODD_SCATTER))
-        )
-        every[count > 1] = np.logaddexp(np.log1p(-ODD) + honest, np.log(ODD) + odd)
-    return every
 
+    def __init__(self, looks: Looks) -> None:
+        _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
+        several = count[cell] > 1
+        self.size = count.size
+        self.single, self.multiple = np.flatnonzero(count == 1), np.flatnonzero(count > 1)
+        self.law = None
+        if looks.law is not None and self.single.size:
+            self.law = LawLikelihood(*(v[~several] for v in looks.law))
+        self.looks = looks.some(np.flatnonzero(several))
+        self.ends = np.cumsum(count[count > 1])
+        # passes that differ say nothing of what is shared: their evidence is that of any law
+        nothing = np.zeros(int(looks.swath.max()) + 1)
+        whole = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
+        any_law = Shared(LAW_MEAN, whole, np.zeros(2), nothing, ODD_SCATTER, expit(SHARE_LOGIT))
+        self.odd = self._together(any_law) + np.log(ODD)
 
-def _evidence(
-    factor: Information,
-    prior: Information,
-    cell: NDArray[np.int64],
-    count: NDArray[np.int64],
-) -> FloatArray:
-    order = np.argsort(cell, kind="stable")
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    total = Information(*(v[order[first]] for v in factor))
-    every, before = np.full(count.size, -np.inf), count > 0
-    for k in range(1, int(count.max())):  # the next look of every cell that has one
-        has = count > k
-        here = Information(*(v[has[before]] for v in total))
-        one = Information(*(v[order[(first + k)[has]]] for v in factor))
-        total, before = multiplied(here, one), has
-        level, total = settled(total, prior)
-        every[has] = logsumexp(np.maximum(level, LEAST_LEVEL), axis=1)
-    return every
+    def evidence(self, shared: Shared) -> FloatArray:
+        """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
+
+        The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey,
+        so the steepness of many cells is not independent evidence about the law. A cell may have
+        differing passes.
+        """
+        every = np.zeros(self.size)
+        if self.law is not None:
+            every[self.single] = evidence_of_law(self.law, shared)
+        if self.multiple.size:
+            honest = self._together(shared) + np.log1p(-ODD)
+            every[self.multiple] = np.logaddexp(honest, self.odd)
+        return every
+
+    def _together(self, shared: Shared) -> FloatArray:
+        """Log evidence of the cells of several looks."""
+        if not self.multiple.size:
+            return np.zeros(0)
+        scatter = np.broadcast_to(shared.scatter, (self.looks.cell.size, 3))
+        factor = at_height(self.looks, shared, scatter)
+        prior = law_factor(shared, self.looks.with_law)
+        return np.maximum(products(factor, self.ends, prior, MOST_KEPT), LEAST_LEVEL)
 
 
 def settled(total: Information, prior: Information) -> tuple[FloatArray, Information]:
@@ -342,7 +475,7 @@ def settled(total: Information, prior: Information) -> tuple[FloatArray, Informa
     level : ndarray (cells, at most MOST_KEPT)
     total : Information (cells, at most MOST_KEPT)
     """
-    level = moments(with_prior(total, prior))[0]
+    level = log_integrals(with_prior(total, prior))
     kept = heaviest(total, level, MOST_KEPT)
     return heaviest(Information(level, total.linear, total.precision), level, MOST_KEPT).level, kept
 

@@ -13,12 +13,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sasmap.catalogue import MANIFEST
 from sasmap.io.jsonfile import write_json
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
-from sasmap.ripples.survey import SurveyModel
+from sasmap.ripples.survey import SurveyModel, quantiles_of
 from sasmap.run.plan import Plan, crs_name
 from sasmap.run.store import Store, code_version
 
@@ -85,22 +88,34 @@ def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
     if survey is None or not survey.values:
         return None
     quantiles = survey.quantiles()
-    low, middle, high = (quantiles["law"][i] for i in range(3))
-    spread = quantiles["spread"][1]
-    names = ("exponent", "concentration")
-    law = {
-        name: {"median": middle[i], "q05": low[i], "q95": high[i], "spread": spread[i]}
-        for i, name in enumerate(names)
-    }
+    found = survey.found if survey.learned else ()
+    sediments = [
+        {
+            "share_of_cells": float(np.mean([p.weight for p in draws])),
+            **_law(quantiles_of([p.shared for p in draws])),
+        }
+        for draws in found
+    ]
     return {
         "form": "intensity = sin(grazing)^exponent exp(-concentration (grazing - pi/2)^2)",
         "learned": survey.learned,
-        **(law if survey.learned else {}),
+        **(_law(quantiles) if survey.learned else {}),
+        "laws_told_apart": sediments if survey.apart else [],
         "lambert": {"exponent": 2.0, "concentration": 0.0},
         "zare_cobb": {"exponent": 0.0, "concentration": 3 / math.pi},
         "shift_by_shape": list(quantiles["shift"][1]),
         "altitude_offset_m": [list(q) for q in quantiles["offset"].T],
         "scatter_between_passes": list(quantiles["scatter"][1]),
+    }
+
+
+def _law(quantiles: dict[str, NDArray[np.float64]]) -> dict[str, Any]:
+    """Record exponent and concentration: median, 5 and 95 % quantiles, and spread."""
+    low, middle, high = (quantiles["law"][i] for i in range(3))
+    spread = quantiles["spread"][1]
+    return {
+        name: {"median": middle[i], "q05": low[i], "q95": high[i], "spread": spread[i]}
+        for i, name in enumerate(("exponent", "concentration"))
     }
 
 

@@ -3,7 +3,7 @@ import pytest
 
 from sasmap.products.law_figure import law_caption, law_figure, level
 from sasmap.ripples.looks import Shared
-from sasmap.ripples.survey import SurveyModel
+from sasmap.ripples.survey import Population, SurveyModel, merged
 
 
 def model(sd, learned=True):
@@ -36,6 +36,22 @@ def test_the_caption_says_that_shape_misleads():
     bent = [v._replace(shift=np.array([-1.0, 0.0])) for v in plain.values]
     assert "another form" not in law_caption(plain)
     assert "biases n by -1.0" in law_caption(SurveyModel(tuple(bent), True))
+
+
+def test_two_laws_that_are_told_apart_are_both_drawn():
+    one, other = model(0.05).values, model(0.08).values
+    pairs = tuple(
+        (Population(0.3, a), Population(0.7, b._replace(law=b.law + 1.0)))
+        for a, b in zip(one, other, strict=True)
+    )
+    survey = SurveyModel(tuple(merged(p) for p in pairs), True, pairs, True)
+    caption = law_caption(survey)
+    assert "law 1 (30 % of the cells): n 2.0" in caption
+    assert "law 2 (70 % of the cells): n 3.0" in caption
+    alone = survey._replace(apart=False)
+    assert "law 2" not in law_caption(alone)
+    ranges = (6.0, 25.0)
+    assert law_figure(survey, ranges).source != law_figure(alone, ranges).source
 
 
 @pytest.mark.parametrize("survey", [None, model(0.1, learned=False)])

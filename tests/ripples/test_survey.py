@@ -5,13 +5,15 @@ import pytest
 from scipy import stats
 
 from sasmap.ripples import RippleSettings
+from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.information import Information, moments, multiplied, widened
-from sasmap.ripples.looks import LAW_MEAN, LAW_VARIANCE
+from sasmap.ripples.looks import LAW_MEAN, LAW_VARIANCE, Shared, collect
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import contrast_per_slope
 from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
+from sasmap.ripples.survey import SurveyModel
 
 SETTINGS = RippleSettings()
 ALTITUDE = 5.0
@@ -212,6 +214,29 @@ def test_honest_passes_agree_and_false_ones_do_not():
         row[1] = seen(rng, 1.2 * row[0].mean[0], height, np.array([2.2, 0.1]), 15, True)
     fused = fuse_cells(cells, SETTINGS, learn_survey(cells, SETTINGS, 1))
     assert all(c.qualities[1] is Quality.CONTRADICTION for c in fused[:20])
+
+
+def test_a_look_is_compared_with_all_others_together():
+    rng = np.random.default_rng(13)
+    law = np.array([2.2, 0.1])
+    known = Shared(law, np.array([0.1, 0.05]), np.zeros(2), np.zeros(4), np.full(3, 1e-3), 0.1)
+    model = SurveyModel((known,), True)
+    honest = [[seen(rng, 0.8, 0.05, law, 15, False) for _ in range(4)] for _ in range(40)]
+    false = [[seen(rng, 0.8, 0.065, law, 15, False), *looks[1:]] for looks in honest]
+    steepness = (MEDIAN, SD)
+    for cells, lost in ((honest, 0.05), (false, 0.5)):
+        looks = collect(cells, steepness)
+        pairs = agreeing_pairs(looks, model, steepness, len(cells))
+        groups = together(looks, model, steepness, pairs)
+        named = np.mean([0 not in group for group in groups])
+        assert (named <= lost) if cells is honest else (named >= lost)
+    # by pairs alone fewer are found
+    assert named > np.mean([0 not in group for group in pairs]) + 0.2
+
+
+def agreeing_pairs(looks, model, steepness, cells):
+    found = distances_of(looks, model, steepness, cells)
+    return [agreeing(d, v) for d, v in zip(*found, strict=True)]
 
 
 def test_a_cell_is_the_same_whatever_cells_are_combined_with_it():

@@ -190,6 +190,23 @@ def test_interrupted_and_resumed_gives_the_same_bytes(sample, tmp_path, kind):
     assert products(tmp_path) == products(output)
 
 
+def test_killed_in_the_second_stage_and_resumed_gives_the_same_bytes(sample, tmp_path):
+    output, _ = sample
+    script = (
+        "import os, signal, sasmap\n"
+        "from sasmap.run import pipeline\n"
+        "pipeline.fuse_cells = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"survey = sasmap.load_survey({str(SAMPLE / 'survey.yaml')!r})\n"
+        f"pipeline.run_survey(survey, output={str(tmp_path)!r}, workers=1)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not list(tmp_path.glob("*.tif"))
+    resumed = run_survey(sasmap.load_survey(SAMPLE / "survey.yaml"), output=tmp_path, workers=2)
+    assert (resumed.computed, resumed.kept) == (0, 12)
+    assert products(tmp_path) == products(output)
+
+
 def test_a_batch_system_that_ends_a_run_leaves_it_resumable_and_says_so(tmp_path):
     command = [
         sys.executable, "-m", "sasmap", "run", str(SAMPLE / "survey.yaml"),
