@@ -5,7 +5,8 @@
 Every clip is drawn from the default model itself (Talts et al. 2018): height, scattering law, crest
 profile, noise, blur and altitude from their priors, and the errors that the model allows for
 (the law's departure from its family, the profile's third harmonic, errors that pixels of a
-wavelength share, a little light in shadow). A clip holds 6 to 12 straight wavelengths of 16 to 60 pixels, seen at 5 to 50 m.
+wavelength share, a little light in shadow). A clip holds 6 to 12 straight wavelengths of 16 to 60
+pixels, seen at 5 to 50 m.
 Ranks are of the truth among the draws; the band is that of the ECDF of as many uniform ranks.
 Clips whose ripple is not detected are left out: the selection depends on the image alone, so that
 intervals must be calibrated on the others.
