@@ -15,9 +15,6 @@ from sasmap.ripples.summary import NAN, Summary
 
 FloatArray = NDArray[np.float64]
 
-# Least weight of the components of a cell's estimate: less changes no digit of the products.
-NEGLIGIBLE = 1e-4
-
 
 @dataclass(frozen=True)
 class CellEstimate:
@@ -47,14 +44,13 @@ FLAT = CellEstimate(sd=(float("inf"),) * 2, azimuth=(NAN, float("inf")))
 
 
 def estimates(
-    level: FloatArray, mean: FloatArray, covariance: FloatArray, settings: RippleSettings
+    weight: FloatArray, mean: FloatArray, covariance: FloatArray, settings: RippleSettings
 ) -> list[CellEstimate]:
     """Summarise mixtures over log f, log A_H and azimuth.
 
     Parameters
     ----------
-    level : ndarray (cells, K)
-        Log weights.
+    weight : ndarray (cells, K)
     mean : ndarray (cells, K, 3)
     covariance : ndarray (cells, K, 3, 3)
     settings : RippleSettings
@@ -63,16 +59,6 @@ def estimates(
     -------
     list of CellEstimate
     """
-    weight = np.exp(level - level.max(axis=1, keepdims=True))
-    weight /= weight.sum(axis=1, keepdims=True)
-    # negligible components are dropped
-    weight[weight < NEGLIGIBLE] = 0.0
-    last = int((weight > 0).sum(axis=1).max())
-    heavy = np.argsort(-weight, axis=1, kind="stable")[:, :last]
-    weight = np.take_along_axis(weight, heavy, 1)
-    weight /= weight.sum(axis=1, keepdims=True)
-    mean = np.take_along_axis(mean, heavy[..., None], 1)
-    covariance = np.take_along_axis(covariance, heavy[..., None, None], 1)
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])
@@ -97,7 +83,7 @@ def estimates(
             azimuth=(float(turn[i] % 180), float(np.sqrt(spread[i]))),
             derived=_derived(found, i),
         )
-        for i in range(len(level))
+        for i in range(len(weight))
     ]
 
 

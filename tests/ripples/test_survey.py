@@ -7,7 +7,7 @@ from scipy import stats
 from sasmap.ripples import RippleSettings
 from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.fusion import fuse_cells, learn_survey
-from sasmap.ripples.information import Information, moments, multiplied, widened
+from sasmap.ripples.information import Information, moments, products, widened
 from sasmap.ripples.looks import LAW_MEAN, LAW_VARIANCE, Shared, collect
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
@@ -129,9 +129,11 @@ def test_factors_multiply_and_blur_as_gaussians_do():
     np.testing.assert_allclose(spread[0, 0], covariance[0] + np.diag(sd**2), rtol=1e-9)
     log_2pi = 1.5 * np.log(2 * np.pi)
     assert level[0, 0] + log_2pi == pytest.approx(0.0, abs=1e-9)
-    both = moments(multiplied(*factors))
+    looks = Information(*(np.concatenate(v) for v in zip(*factors, strict=True)))
+    nothing = Information(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3, 3)))
+    both = products(looks, np.array([2]), nothing, 1)
     expected = stats.multivariate_normal(mean[0], covariance.sum(axis=0)).logpdf(mean[1])
-    assert both[0][0, 0] + log_2pi == pytest.approx(expected)
+    assert both[0] + log_2pi == pytest.approx(expected)
 
 
 def test_shadow_in_some_cells_tells_the_height_of_the_others():
