@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sasmap.ripples.derived import UNKNOWN as UNDERIVED
 from sasmap.ripples.derived import Derived
-from sasmap.ripples.mixture import Marginal, marginals
+from sasmap.ripples.mixture import Marginal, marginals, weighted
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
 
@@ -63,7 +63,7 @@ def estimates(
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])
     # f is far better known than A_H, whose bounds are those of the steepness at the cell's f
-    steep = np.log(2) + (weight * mean[..., 0]).sum(axis=1) + bounds[1][:, None]
+    steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds[1][:, None]
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
     logs = [
         (mean[..., 0], variance[..., 0], bounds[0]),
@@ -72,8 +72,8 @@ def estimates(
         (-mean[..., 0], variance[..., 0], -bounds[0][::-1]),
     ]
     found = [marginals(weight, m, np.sqrt(np.maximum(v, 1e-20)), b) for m, v, b in logs]
-    turn = (weight * mean[..., 2]).sum(axis=1)
-    spread = (weight * (variance[..., 2] + (mean[..., 2] - turn[:, None]) ** 2)).sum(axis=1)
+    turn = weighted(weight, mean[..., 2])
+    spread = weighted(weight, variance[..., 2] + (mean[..., 2] - turn[:, None]) ** 2)
     return [
         CellEstimate(
             mean=_pair(found, "mean", i),

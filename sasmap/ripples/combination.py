@@ -26,6 +26,7 @@ from sasmap.ripples.information import (
     workspace,
 )
 from sasmap.ripples.looks import NONE, Looks, law_factor, steepness_factor
+from sasmap.ripples.mixture import weighted
 from sasmap.ripples.survey import MOST_KEPT, SurveyModel, with_prior
 
 FloatArray = NDArray[np.float64]
@@ -93,7 +94,8 @@ def after_each(
     last = int(filled.max())
     covariance[np.arange(most) >= filled[:, None]] = np.eye(3)
     weight = weight[:, :last]
-    return weight / weight.sum(axis=1, keepdims=True), mean[:, :last], covariance[:, :last]
+    weight = weight / weighted(weight, np.ones_like(weight))[:, None]
+    return weight, mean[:, :last], covariance[:, :last]
 
 
 def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float]) -> _Draws:

@@ -110,6 +110,16 @@ def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: Floa
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def weighted(weight, values):  # type: ignore[no-untyped-def]
+    """Sum values (n, K) by weight (n, K), one after the other: padding changes no digit."""
+    result = np.zeros(len(weight))
+    for r in range(weight.shape[0]):
+        for k in range(weight.shape[1]):
+            result[r] += weight[r, k] * values[r, k]
+    return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _below(z):  # type: ignore[no-untyped-def]
     """Cumulative probability of a standard Gaussian."""
     if z > CERTAIN:
