@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing, grey_opening, label
 from scipy.special import ndtr
 
+from sasmap.ripples.demodulation import BoxSums, demodulate
 from sasmap.ripples.image import Image
-from sasmap.ripples.phase import BoxSums, demodulate
 from sasmap.ripples.pixels import box_sums, spread_boxes
 
 FloatArray = NDArray[np.float64]

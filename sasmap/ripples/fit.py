@@ -10,6 +10,14 @@ from numpy.typing import NDArray
 
 from sasmap.numerics.looks import noise_factor
 from sasmap.ripples.clip import DYNAMIC_RANGE
+from sasmap.ripples.demodulation import (
+    along_range,
+    demodulate,
+    local_ratio,
+    refined_wave,
+    rewaved,
+    turned_back,
+)
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import (
@@ -22,19 +30,7 @@ from sasmap.ripples.optimise import (
     rivals,
     search,
 )
-from sasmap.ripples.phase import (
-    STRAIGHT,
-    PhaseField,
-    along_range,
-    best_field,
-    demodulate,
-    local_ratio,
-    refined_wave,
-    rewaved,
-    straight,
-    trial_fields,
-    turned_back,
-)
+from sasmap.ripples.phase import STRAIGHT, PhaseField, best_field, straight, trial_fields
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendering import (
@@ -241,7 +237,7 @@ def refined(task: Task, fit: Fit) -> Fit:
         overall = along_range(image, phase.box, reach, ratio, pixels.sum(axis=1))
         fit = fit._replace(trend=fit.trend * overall)
         model = painted(image, fit, used, means)
-        trend = fit.trend * local_ratio(image, phase, used, model)
+        trend = fit.trend * local_ratio(image, phase.wave, phase.box, used, model)
         data = histogram(image, trend, phase)
         fit = reoptimised(fit._replace(trend=trend), data, fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])

@@ -1,15 +1,14 @@
 """Ripple phase as a field: straight where that suffices, else as stiff as the clip decides.
 
-The image over its local mean is demodulated at the strongest wave and summed over boxes a sixth of
-a wavelength wide; smoothing those gives the phase of the image's fundamental at every place, forks
-and all. Odd and even stripes across the crests are smoothed apart, and each pixel's phase is what
-the others tell, so that speckle is not taken for phase; the smoothing is the one that predicts the
+Smoothing the demodulated clip gives the phase of the image's fundamental at every place, forks and
+all. Odd and even stripes across the crests are smoothed apart, and each pixel's phase is what the
+others tell, so that speckle is not taken for phase; the smoothing is the one that predicts the
 others best.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -18,70 +17,22 @@ from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
 from scipy.ndimage import binary_closing
 
+from sasmap.ripples.demodulation import BoxSums, Smoother, box_places, covered_boxes
 from sasmap.ripples.image import Image
-from sasmap.ripples.pixels import box_sums, field_cycles
+from sasmap.ripples.pixels import field_cycles
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 
-# BoxSums a wavelength, and the most boxes a side.
-BOXES = 6
-MAX_BOXES = 160
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
 STIFFNESS = (0.5, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
-TREND_SD = 1.5
-# Rounds of the local trend, each on what the last left: at a clip's edge one alone is off by the
-# trend's slope.
-TREND_ROUNDS = 2
-# Steps of the log of range, and degree of the polynomial in it that is taken off first: near the
-# track intensity changes by more than smoothing can follow.
-RANGE_STEPS, RANGE_DEGREE = 24, 2
 # What a field of each stiffness must at least predict, of what straight crests do: a stiffness of
 # parts of a wave takes the pulse's own shape for phase.
 STRAIGHT = np.array([1.03, 1.012, 1.004, 1.004, 1.003, 1.003, 1.003])
-# Local amplitude, over that of the clip's rippled part, of places without ripples.
-BARE = 0.35
-# Rippled fraction of a clip above which all of it counts as rippled.
-FULL = 0.8
-MAX_ROUNDS = 8
 # Share of the phase's wander that its mean slope may be wrong by, and turns over the clip that a
-# fork leaves open (root of their number).
+# fork leaves open (root of their number) (pipelines/ripples/coherent.py).
 WANDER_SHARE, FORK_TURN = 0.2, 0.04
-
-
-@dataclass(frozen=True)
-class BoxSums:
-    """A clip demodulated at a wave; arrays (box rows, box columns).
-
-    Attributes
-    ----------
-    wave : ndarray (2,)
-        Wave vector (east, north), cycles/m.
-    size : int
-        Pixels a side of a box.
-    turned : ndarray of complex
-        Sums of (intensity over trend, less 1) * exp(-i phase of the wave).
-    count : ndarray
-        Valid pixels.
-    trend : ndarray
-        Local mean intensity.
-    wavelength : float
-        In boxes.
-    variance : float
-        Of intensity over trend.
-    stripes : ndarray (2,)
-        Stripes across the crests a column and a row.
-    """
-
-    wave: FloatArray
-    size: int
-    turned: ComplexArray
-    count: FloatArray
-    trend: FloatArray
-    wavelength: float
-    variance: float
-    stripes: FloatArray
 
 
 @dataclass(frozen=True)
@@ -168,274 +119,6 @@ class PhaseField:
         return wide[: shape[0], : shape[1]]
 
 
-def demodulate(image: Image, wave: FloatArray) -> BoxSums:
-    """Demodulate a clip at a wave and sum it over boxes.
-
-    Trend and fundamental are fitted together, locally: at the clip's edges and holes the mean of a
-    part of a wave is not the trend.
-
-    Parameters
-    ----------
-    image : Image
-    wave : ndarray (2,)
-        Wave vector (east, north), cycles/m.
-
-    Returns
-    -------
-    BoxSums
-    """
-    per_column, per_row = (float(v) for v in image.per_pixel(wave))
-    pixels = 1 / np.hypot(per_column, per_row)
-    size = int(max(pixels / BOXES, np.ceil(max(image.shape) / MAX_BOXES), 1))
-    one = image.valid.astype(float)
-    sums = [box_sums(v, image.valid, 0.0, 0.0, size)[0].real for v in (image.power, one)]
-    turned = [box_sums(v, image.valid, per_column, per_row, size)[0] for v in (image.power, one)]
-    twice = box_sums(one, image.valid, 2 * per_column, 2 * per_row, size)[0]
-    wavelength = pixels / size
-    smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
-    count, count1, count2 = smooth(sums[1]).real, smooth(turned[1]), smooth(twice)
-    trend = range_trend(image, size)
-    for _ in range(TREND_ROUNDS):
-        level, level1 = smooth(sums[0] / trend).real, smooth(turned[0] / trend)
-        trend = np.asarray(trend * _local_trend(level, level1, count, count1, count2))
-    flat = turned[0] / trend - turned[1]
-    square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
-    variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
-    # stripes a third of a wavelength wide that run across the crests: each sees whole waves
-    stripes = 3 * np.array([-per_row, per_column])
-    return BoxSums(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6), stripes)
-
-
-def range_trend(image: Image, size: int) -> FloatArray:
-    """Power of range, nearly, that the clip's intensity follows, over boxes.
-
-    Parameters
-    ----------
-    image : Image
-    size : int
-        Pixels a side of a box.
-
-    Returns
-    -------
-    ndarray (box rows, box columns)
-        Mean 1 over the boxes that hold a pixel; 1 elsewhere.
-    """
-    place, count = _log_range(image, size)
-    total = box_sums(image.power, image.valid, 0.0, 0.0, size)[0].real
-    filled = count > 0
-    x = place[filled]
-    # means of even steps of log range first: intensity is far from Gaussian
-    step = (x - x.min()) / max(float(np.ptp(x)), 1e-9) * RANGE_STEPS
-    step = np.minimum(step, RANGE_STEPS - 1).astype(int)
-    pixels, power, where = (
-        np.bincount(step, v, RANGE_STEPS) for v in (count[filled], total[filled], x * count[filled])
-    )
-    some = power > 0
-    ratio = power[some] / pixels[some]
-    reach = np.exp(where[some] / pixels[some])
-    return along_range(image, size, reach, ratio, np.asarray(pixels[some], float))
-
-
-def along_range(
-    image: Image, size: int, reach: FloatArray, ratio: FloatArray, weight: FloatArray
-) -> FloatArray:
-    """Polynomial in the log of range through the log of ratios, over boxes.
-
-    Parameters
-    ----------
-    image : Image
-    size : int
-        Pixels a side of a box.
-    reach, ratio, weight : ndarray (n,)
-        Ground range (m), what is found there, and the pixels that it rests on.
-
-    Returns
-    -------
-    ndarray (box rows, box columns)
-        Mean 1 over the boxes that hold a pixel; 1 elsewhere, and where n is too small.
-    """
-    place, count = _log_range(image, size)
-    filled = count > 0
-    trend = np.ones(count.shape)
-    if len(reach) < 2 * RANGE_DEGREE:
-        return trend
-    middle, half = float(np.log(reach).mean()), max(float(np.ptp(np.log(reach))), 1e-9)
-    x = (np.log(reach) - middle) / half
-    line = np.polyfit(x, np.log(ratio), RANGE_DEGREE, w=np.sqrt(weight))
-    trend[filled] = np.exp(np.polyval(line, (place[filled] - middle) / half))
-    return trend / float(trend[filled].mean())
-
-
-def _log_range(image: Image, size: int) -> tuple[FloatArray, FloatArray]:
-    """Log of the mean ground range of boxes, 0 where there is none, and their pixels."""
-    reach = np.where(image.valid, image.ground_range, 0.0)
-    total, count = box_sums(reach, image.valid, 0.0, 0.0, size)
-    mean = total.real / np.maximum(count, 1)
-    return np.log(np.where(count > 0, mean, 1.0)), count
-
-
-def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
-    """Demodulate at a nearby wave what is demodulated already: turn the boxes.
-
-    Parameters
-    ----------
-    image : Image
-    boxes : BoxSums
-    wave : ndarray (2,)
-        Wave vector (east, north), cycles/m, off by little over a box.
-
-    Returns
-    -------
-    BoxSums
-    """
-    along, across = _places(image, boxes)
-    look = image.look
-    change = wave - boxes.wave
-    beside = change @ np.array([look[1], -look[0]])
-    turn = np.exp(-2j * np.pi * (change @ look * along + beside * across))
-    return replace(boxes, wave=wave, turned=boxes.turned * turn)
-
-
-def turned_back(image: Image, boxes: BoxSums, lag: tuple[FloatArray, FloatArray]) -> BoxSums:
-    """Take a phase that follows range off demodulated boxes.
-
-    Parameters
-    ----------
-    image : Image
-    boxes : BoxSums
-    lag : tuple of ndarray (n,)
-        Ground ranges, m, increasing, and the ripple's phase at which the fundamental peaks there,
-        rad.
-
-    Returns
-    -------
-    BoxSums
-    """
-    along, _ = _places(image, boxes)
-    phase = np.interp(image.mean_range + along, *lag)
-    return replace(boxes, turned=boxes.turned * np.exp(1j * phase))
-
-
-class _Smoother:
-    """Gaussian smoothing of arrays of a shape, zero outside."""
-
-    def __init__(self, shape: tuple[int, int], sd: float) -> None:
-        self._shape = shape
-        pad = int(4 * min(sd, max(shape)))
-        full = [next_fast_len(n + pad) for n in shape]
-        frequency = [
-            np.fft.fftfreq(n)[:, None] if i == 0 else np.fft.fftfreq(n) for i, n in enumerate(full)
-        ]
-        self._full = (full[0], full[1])
-        self._window = np.exp(-2 * (np.pi * sd) ** 2 * (frequency[0] ** 2 + frequency[1] ** 2))
-
-    def __call__(self, values: NDArray[np.generic]) -> ComplexArray:
-        wide = ifft2(fft2(values, self._full) * self._window)
-        return np.asarray(wide[: self._shape[0], : self._shape[1]])
-
-
-def _local_trend(
-    power: FloatArray,
-    power1: ComplexArray,
-    count: FloatArray,
-    count1: ComplexArray,
-    count2: ComplexArray,
-) -> FloatArray:
-    """Mean of T (1 + z e^(i phase) + its conjugate) that explains smoothed sums of the image."""
-    count = np.maximum(count, 1e-6 * count.max())
-    # unknowns T, p = Re(T z), q = Im(T z); z e^(i phase) + conjugate = 2 p cos - 2 q sin
-    c1, s1 = count1.real, -count1.imag
-    c2, s2 = count2.real, -count2.imag
-    matrix = np.empty((*count.shape, 3, 3))
-    matrix[..., 0, 0] = count
-    matrix[..., 0, 1] = matrix[..., 1, 0] = c1
-    matrix[..., 0, 2] = matrix[..., 2, 0] = -s1
-    matrix[..., 1, 1] = 0.5 * (count + c2)
-    matrix[..., 1, 2] = matrix[..., 2, 1] = -0.5 * s2
-    matrix[..., 2, 2] = 0.5 * (count - c2)
-    matrix[..., 1, 1] += 1e-3 * count
-    matrix[..., 2, 2] += 1e-3 * count
-    right = np.stack([power, power1.real, power1.imag], axis=-1)
-    level = np.linalg.solve(matrix, right[..., None])[..., 0, 0]
-    plain = power / count
-    return np.asarray(np.maximum(np.clip(level, 0.5 * plain, 2 * plain), 1e-9))
-
-
-def _places(image: Image, boxes: BoxSums) -> tuple[FloatArray, FloatArray]:
-    """Places of box centres along and across the look from the clip's centre, m."""
-    rows, columns = image.shape
-    down = (np.arange(boxes.count.shape[0]) + 0.5) * boxes.size - 0.5 - (rows - 1) / 2
-    right = (np.arange(boxes.count.shape[1]) + 0.5) * boxes.size - 0.5 - (columns - 1) / 2
-    look = image.look
-    result = []
-    for direction in (look, np.array([look[1], -look[0]])):
-        per_column, per_row = direction @ image.steps
-        result.append(per_column * right[None, :] + per_row * down[:, None])
-    return result[0], result[1]
-
-
-def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
-    """Wave vector (east, north), cycles/m, at which the demodulated clip is most coherent."""
-    along, across = _places(image, boxes)
-    place = np.stack([along[weight], across[weight]])
-    values = boxes.turned[weight]
-    spread = place.std(axis=1) + 1e-9
-    turn = np.zeros(2)  # rad/m
-    for _ in range(MAX_ROUNDS):
-        now = values * np.exp(-1j * (turn @ place))
-        total = now.sum()
-        if total == 0:
-            break
-        now = now * np.conj(total) / abs(total)
-        centre = (place * now.real).sum(axis=1) / now.real.sum()
-        offset = place - centre[:, None]
-        gradient = (offset * now.imag).sum(axis=1)
-        curvature = (offset * now.real) @ offset.T
-        bound = np.diag(1e-2 * abs(total) * spread**2)
-        step = np.linalg.solve(curvature + bound, gradient)
-        step = np.clip(step, -1 / spread, 1 / spread)
-        turn = turn + step
-        if (np.abs(step) * spread).max() < 1e-5:
-            break
-    look = image.look
-    return np.asarray(
-        boxes.wave + (turn[0] * look + turn[1] * np.array([look[1], -look[0]])) / (2 * np.pi)
-    )
-
-
-def covered_boxes(image: Image, boxes: BoxSums) -> tuple[BoolArray, float]:
-    """BoxSums where ripples are, and the fraction of the valid area that they make up.
-
-    Contrast grows as the sound grazes lower, so amplitude is compared over the angle from
-    the vertical; where speckle hides what one place shows, all count as rippled.
-    """
-    filled = boxes.count > 0
-    size = boxes.size
-    reach, altitude = (
-        box_sums(np.nan_to_num(v), image.valid, 0.0, 0.0, size)[0].real
-        for v in (image.ground_range, image.altitude)
-    )
-    incidence_angle = np.arctan2(reach, np.maximum(altitude, 1e-9))
-    everywhere = filled, 1.0
-    for sd in (0.8, 1.3, 2.0):
-        smooth = _Smoother(filled.shape, sd * boxes.wavelength)
-        count = np.maximum(smooth(boxes.count).real, 1e-3 * boxes.count.max())
-        noise = boxes.variance / (4 * np.pi * (sd * boxes.wavelength * size) ** 2)
-        noise = noise * boxes.count.max() / count
-        local = np.maximum(np.abs(smooth(boxes.turned) / count) ** 2 - noise, 0)
-        level = np.sqrt(local) / np.maximum(incidence_angle, 0.05)
-        high = float(np.quantile(level[filled], 0.85))
-        error = float(np.median((np.sqrt(noise) / np.maximum(incidence_angle, 0.05))[filled]))
-        if error > 0.2 * high:
-            continue
-        rippled = filled & (level > BARE * high)
-        fraction = float(boxes.count[rippled].sum() / boxes.count.sum())
-        if fraction > FULL:
-            return filled, max(fraction, FULL) if fraction < 0.97 else 1.0
-        return rippled, fraction
-    return everywhere
-
-
 def straight(image: Image, boxes: BoxSums) -> PhaseField:
     """Return the phase of straight crests: a plane wave and no field.
 
@@ -451,7 +134,7 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     """
     covered, fraction = covered_boxes(image, boxes)
     one = np.ones(boxes.count.shape, complex)
-    along, across = _places(image, boxes)
+    along, across = box_places(image, boxes)
     weight = np.where(covered, boxes.count, 0.0)
     total, pixels = np.where(covered, boxes.turned, 0).sum(), weight.sum()
     # slope of the phase of a sine of this amplitude in noise of this variance, by least squares
@@ -522,7 +205,7 @@ def trial_fields(boxes: BoxSums) -> FieldTrials:
     whole = abs(boxes.turned.sum())
     scores, fields = [], []
     for stiffness in STIFFNESS:
-        smooth = _Smoother(boxes.count.shape, max(stiffness * boxes.wavelength, 0.8))
+        smooth = Smoother(boxes.count.shape, max(stiffness * boxes.wavelength, 0.8))
         first = smooth(np.where(even, boxes.turned, 0))
         second = smooth(np.where(even, 0, boxes.turned))
         fields.append((first, second))
@@ -652,27 +335,3 @@ def _coherence_length(
     below = np.flatnonzero(ratio < np.exp(-1))
     first = int(below[0]) if below.size else int(reach[-1])
     return float(first * boxes.size * image.pixel_size)
-
-
-def local_ratio(image: Image, phase: PhaseField, used: BoolArray, model: FloatArray) -> FloatArray:
-    """Smooth ratio of an image and its model over boxes: what trend a model leaves.
-
-    Parameters
-    ----------
-    image : Image
-    phase : PhaseField
-    used : ndarray of bool (rows, columns)
-    model : ndarray (rows, columns)
-        Expected intensity where used.
-
-    Returns
-    -------
-    ndarray (box rows, box columns)
-        1 far from all pixels that are used.
-    """
-    sums = [box_sums(v, used, 0.0, 0.0, phase.box)[0].real for v in (image.power, model)]
-    wavelength = 1 / float(np.hypot(*image.per_pixel(phase.wave)) * phase.box)
-    smooth = _Smoother(sums[0].shape, TREND_SD * wavelength)
-    seen, expected = (smooth(v).real for v in sums)
-    known = expected > 1e-3 * expected.max()
-    return np.where(known, np.maximum(seen, 0.05 * expected) / np.where(known, expected, 1.0), 1.0)

@@ -307,7 +307,7 @@ def map_sediments(
     final = canvas("final", "uint8")
     for top in range(0, surface.shape[0], SIDE):
         final[slice(top, top + SIDE)] = label[slice(top, top + SIDE)]
-    paint(label, lines, final)
+    paint(label, lines, final, workers)
     if least > 1:
         final = _without_small(surface, final, least, canvas("sieved", "uint8"), workers)
     rippled = canvas("ripples", "uint8")
@@ -364,11 +364,10 @@ def _mark_rippled(
         classes, rippled = label[wide], surface.rippled[wide]
         if not rippled.any():
             return
-        for k in np.unique(classes[classes > 0]):
-            mine = np.where(classes == k, rippled + np.uint8(1), np.uint8(0))
-            mine = sieved(mine, least, wide == surface.whole)
-            rippled = np.where(mine > 0, mine - np.uint8(1), rippled)
-        result[part] = rippled[inner]
+        # a patch is of one class, and what is too small is as what lies around it
+        both = np.where(classes > 0, 2 * classes + rippled, 0).astype(np.uint8)
+        both = sieved(both, least, wide == surface.whole)
+        result[part] = np.where(classes > 0, both & 1, rippled)[inner]
 
     deque(mapped(one, surface.blocks(2 * SIDE), workers), 0)
 

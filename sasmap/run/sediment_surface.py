@@ -99,10 +99,13 @@ class Slices:
         self._look = look
         self.shape: tuple[int, int] = look.amplitude.shape
 
-    def __getitem__(self, part: Any) -> FloatArray:
+    def __getitem__(self, part: Any) -> NDArray[np.float32]:
         """Read a slice; NaN where there is no amplitude."""
-        profile = np.asarray(self._look.profile[part], float)
-        return np.asarray(_known(self._look.amplitude[part]) * np.exp(-profile))
+        amplitude = _known(self._look.amplitude[part])
+        profile = self._look.profile[part]
+        if profile.any():
+            amplitude *= np.exp(-profile.astype(np.float32))
+        return amplitude
 
 
 class Surface(NamedTuple):
@@ -140,8 +143,8 @@ class Surface(NamedTuple):
         return [
             AmplitudeGrid(
                 one.amplitude[part],
-                one.cotangent[part].astype(float),
-                one.altitude[part].astype(float) if ranged else None,
+                one.cotangent[part].astype(np.float32),
+                one.altitude[part].astype(np.float32) if ranged else None,
             )
             for one in self.slices()
         ]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.sediments.trends import Blocks, log_angle, log_reach, trend_of
+from sasmap.sediments.trends import Blocks, Real, log_angle, log_reach, trend_of
 
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -25,8 +25,8 @@ Index = NDArray[np.int64]
 # Log cotangents of a bin: 1 % of range, about a block at the far end of a swath of 100 blocks; and
 # blocks that a bin holds on average, at least; bins, at most.
 WIDTH, HELD, MOST = 0.01, 12, 200
-# Blocks apart, at most, of pairs that tell the gain.
-LAGS = 3
+# Blocks apart, at most, of pairs that tell the gain; pairs of one direction and distance, at most.
+LAGS, PAIRS = 3, 50_000
 # The same where blocks of steep gain are left out in between: as wide as two steps of it are.
 FAR = 8
 # Mean difference in log cotangent from which two looks see a block differently: 10 % of range.
@@ -41,8 +41,9 @@ BETTER = 0.97
 SLIGHT = 0.05
 # Log gain under its median (14 dB, as of blocks that are no sediment) that a bin has at least.
 LOWEST = 1.6
-# Weight that holds gains at 0 where nothing tells them, of that of one pair.
-RIDGE, ROUNDS = 1e-3, 30
+# Weight that holds gains at 0 where nothing tells them, of that of one pair; rounds of reweighting,
+# at most, and change of any gain that ends them.
+RIDGE, ROUNDS, SETTLED = 1e-3, 30, 1e-5
 
 
 class Bands(NamedTuple):
@@ -68,8 +69,8 @@ class Bands(NamedTuple):
         return max(float(np.nanmax(g) - np.nanmin(g)) for g in self.gains)
 
     def of(
-        self, look: int, cotangent: FloatArray, altitude: FloatArray | None = None
-    ) -> FloatArray:
+        self, look: int, cotangent: NDArray[Real], altitude: NDArray[Real] | None = None
+    ) -> NDArray[Real]:
         """Log gain of a look at grazing angles, and altitudes where it goes by range.
 
         Parameters
@@ -92,7 +93,7 @@ class Bands(NamedTuple):
             return self._at(look, log_angle(cotangent))
         if altitude is None:
             raise ValueError("gain by range: expected altitudes")
-        return self._at(look, log_reach(cotangent, np.asarray(altitude, float)))
+        return self._at(look, log_reach(cotangent, np.asarray(altitude, cotangent.dtype)))
 
     def of_block(self, look: int, blocks: Blocks) -> FloatArray:
         """Log gain of a look at its blocks."""
@@ -102,8 +103,9 @@ class Bands(NamedTuple):
         """Where blocks are."""
         return blocks.reach if self.ranged else blocks.angle
 
-    def _at(self, look: int, place: FloatArray) -> FloatArray:
-        return np.asarray(np.interp(place, self.places[look], self.gains[look]))
+    def _at(self, look: int, place: NDArray[Real]) -> NDArray[Real]:
+        gain = np.interp(place, self.places[look], self.gains[look])
+        return np.asarray(gain, place.dtype)
 
 
 def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
@@ -291,10 +293,11 @@ def _across(
             np.moveaxis(known, axis, 0),
         )
         for lag in range(1, lags + 1):
-            both = k[lag:] & k[:-lag] & (b[lag:] != b[:-lag])
-            first.append(b[lag:][both])
-            second.append(b[:-lag][both])
-            change.append((v[lag:] - v[:-lag])[both])
+            both = np.flatnonzero(k[lag:] & k[:-lag] & (b[lag:] != b[:-lag]))
+            both = both[:: max(both.size // PAIRS, 1) | 1]  # an odd step meets all columns
+            first.append(b[lag:].ravel()[both])
+            second.append(b[:-lag].ravel()[both])
+            change.append((v[lag:] - v[:-lag]).ravel()[both])
     return np.concatenate(first), np.concatenate(second), np.concatenate(change)
 
 
@@ -304,7 +307,7 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
     if change.size < 2 * count:
         return gain
     for _ in range(ROUNDS):
-        rest = change - gain[first] + gain[second]
+        before, rest = gain, change - gain[first] + gain[second]
         scale = 1.5 * np.median(np.abs(rest)) + 1e-9
         weight = 1 / (1 + (rest / scale) ** 2) ** 2
         joined = np.bincount(first * count + second, weight, minlength=count**2)
@@ -314,6 +317,8 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
         right = np.bincount(first, weight * change, minlength=count)
         right -= np.bincount(second, weight * change, minlength=count)
         gain = np.linalg.solve(matrix, right)
+        if np.abs(gain - before).max() < SETTLED:
+            break
     gain -= gain.mean()
     # so far below it is the water column, not a beam pattern
     return np.where(gain < np.median(gain) - LOWEST, np.nan, gain)

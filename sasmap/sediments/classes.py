@@ -14,7 +14,7 @@ from sasmap.sediments.bands import Bands
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import Flat, pixels_of
 from sasmap.sediments.texture import Texture
-from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, log_cotangent, trend_of
+from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, Real, log_cotangent, trend_of
 
 FloatArray = NDArray[np.float64]
 
@@ -65,8 +65,8 @@ class Classes:
         return self.bands is not None and self.bands.ranged
 
     def log_trend(
-        self, look: int, cotangent: FloatArray, altitude: FloatArray | None = None
-    ) -> FloatArray:
+        self, look: int, cotangent: NDArray[Real], altitude: NDArray[Real] | None = None
+    ) -> NDArray[Real]:
         """Log of the amplitude that a look's gain, trend and bands make.
 
         Parameters
@@ -81,8 +81,11 @@ class Classes:
         -------
         ndarray
         """
-        gain = trend_of(self.trends[look], log_cotangent(cotangent) - self.centre)
-        return gain if self.bands is None else gain + self.bands.of(look, cotangent, altitude)
+        place: NDArray[Real] = np.asarray(log_cotangent(cotangent) - self.centre, cotangent.dtype)
+        gain = trend_of(self.trends[look], place)
+        if self.bands is not None:
+            gain += self.bands.of(look, cotangent, altitude)
+        return gain
 
 
 def log_moments(law: Law) -> tuple[float, float]:

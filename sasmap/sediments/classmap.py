@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import binary_dilation, uniform_filter
+from scipy.spatial import cKDTree
 from skimage.measure import label as measure_label
 
 from sasmap.sediments.classes import Classes
@@ -217,11 +218,16 @@ def sieved(
     few[0] = False
     if not few.any():
         return label
-    lost = few[parts] | (label == 0)
-    if lost.all():
+    lost = few[parts]
+    kept = (label > 0) & ~lost
+    if not kept.any():
         return label
-    nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
-    return np.where(label > 0, label[tuple(nearest)], label).astype(np.uint8)
+    # what is nearest lies at a rim
+    rim = np.argwhere(kept & binary_dilation(~kept, np.ones((3, 3))))
+    nearest = rim[cKDTree(rim).query(np.argwhere(lost))[1]]
+    result = label.copy()
+    result[lost] = label[tuple(nearest.T)]
+    return result
 
 
 def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:

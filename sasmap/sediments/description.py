@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.bands import Bands, evened
 from sasmap.sediments.floor import Flat, Part, around, blocks_in
-from sasmap.sediments.texture import LAGS, MARGIN, SCALES, channels
+from sasmap.sediments.texture import LAGS, SCALES
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN, Blocks, trend_of
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +23,8 @@ AROUND = 3
 # Blocks a side that must be free of other groups around one whose texture is its own: texture is
 # described by 24 pixels to each side, of averages over 16.
 CLEAR = 5
+# Pixels over which intensity is averaged: of more, a block holds too few.
+LEVELS = SCALES[:-1]
 
 
 def gain_of(blocks: Sequence[Blocks], trends: FloatArray, bands: Bands | None) -> list[FloatArray]:
@@ -119,8 +121,8 @@ class BlockTexture:
             Mean log amplitude, log variances of it at each scale but the coarsest, and log mean
             squares of differences; the mean over all looks. NaN where unknown.
         """
-        split = len(SCALES) - 1
-        total = np.zeros((*dark.shape, len(SCALES) + len(LAGS)))
+        split = len(LEVELS)
+        total = np.zeros((*dark.shape, 1 + split + len(LAGS)))
         looks = np.zeros(dark.shape)
         near = binary_dilation(dark, np.ones((CLEAR, CLEAR)))
         gains = gain_of(blocks, trends, bands)
@@ -157,28 +159,99 @@ def _texture_sums(
     Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
     squares of differences.
     """
-    split = len(SCALES) - 1
-    result = np.zeros((*shape, 1 + 2 * split + len(LAGS)), np.float32)
+    result = np.zeros((*shape, 1 + 2 * len(LEVELS) + len(LAGS)), np.float32)
 
     def add(part: Part) -> NDArray[np.float32]:
-        wide, inner = around(part, MARGIN, look.shape)
-        found = channels(look.logs(wide))[:, *inner]
-        there = np.isfinite(found[0])
-        known = there.astype(np.float32)
-        if not there.all():
-            found[:, ~there] = 0.0
-        layers = [known, *found[:split], *(v**2 for v in (*found[:split], *found[split + 1 :]))]
-        return np.stack([_block_sums(v) for v in layers], axis=-1)
+        wide, inner = around(part, BLOCK, look.shape)
+        return block_texture(look[wide])[blocks_in(inner)]
 
     for part, sums in zip(chosen, mapped(add, chosen, workers), strict=True):
         result[blocks_in(part)] = sums
     return result
 
 
-def _block_sums(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    rows, columns = (n // BLOCK for n in values.shape)
-    parts = values[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
-    return np.asarray(parts.sum(axis=3).sum(axis=1))
+def block_texture(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Describe the whole blocks of an image.
+
+    An average is looked at twice in its own length, which tells as much as at every pixel.
+
+    Parameters
+    ----------
+    amplitude : ndarray (rows, columns)
+        NaN where there is none.
+
+    Returns
+    -------
+    ndarray of float32 (block rows, block columns, 13)
+        See :class:`BlockTexture`.
+    """
+    rows, columns = (n // BLOCK * BLOCK for n in amplitude.shape)
+    amplitude = amplitude[:rows, :columns]
+    known = amplitude > 0
+    share = known.astype(np.float32)
+    count = _block_sums(share, BLOCK)
+    # single precision holds squares of amplitudes about the mean one, whatever their unit
+    unit = float(np.mean(amplitude, where=known)) if known.any() else 1.0
+    power = np.square(np.where(known, amplitude, 0).astype(np.float32) / np.float32(unit))
+    levels, squares, apart = [], [], []
+    for scale in LEVELS:
+        if scale > 2:
+            power, share = _quartered(power), _quartered(share)
+        side = BLOCK // max(scale // 2, 1)
+        mean, many = (power, share) if scale == 1 else (_pooled(power), _pooled(share))
+        there = many > 0.5 * scale**2
+        mean = np.where(there, mean, 1) / np.where(there, many, 1)
+        level = np.log(np.maximum(mean, np.float32(1e-37))) * np.float32(0.5)
+        level += np.float32(np.log(unit))
+        levels.append(_known_mean(level, there, side))
+        squares.append(_known_mean(level * level, there, side))
+        apart.append(_known_mean(*_differences(level, there, int(scale > 1)), side))
+    return np.stack([count, *(count * v for v in (*levels, *squares, *apart))], axis=-1)
+
+
+def _quartered(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Add up squares of two by two."""
+    down = values[::2] + values[1::2]
+    return np.asarray(down[:, ::2] + down[:, 1::2])
+
+
+def _pooled(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Add up squares of two by two that begin at each place; the last is twice in its own."""
+    wide = np.pad(values, ((0, 1), (0, 1)), "edge")
+    down = wide[:-1] + wide[1:]
+    return np.asarray(down[:, :-1] + down[:, 1:])
+
+
+def _differences(
+    level: NDArray[np.float32], there: NDArray[np.bool_], behind: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Squared differences, down plus across, from so many places behind to one ahead; and where."""
+    pad = ((behind, 1), (behind, 1))
+    wide, known = np.pad(level, pad, "edge"), np.pad(there, pad, "edge")
+    (rows, columns), step = level.shape, behind + 1
+    middle = slice(behind, behind + rows), slice(behind, behind + columns)
+    down = wide[step : step + rows, middle[1]] - wide[:rows, middle[1]]
+    across = wide[middle[0], step : step + columns] - wide[middle[0], :columns]
+    both = known[step : step + rows, middle[1]] & known[:rows, middle[1]]
+    both &= known[middle[0], step : step + columns] & known[middle[0], :columns]
+    return down * down + across * across, both
+
+
+def _known_mean(
+    values: NDArray[np.float32], there: NDArray[np.bool_], side: int
+) -> NDArray[np.float32]:
+    """Mean over squares of what is known; 0 where nothing is."""
+    if there.all():
+        return np.asarray(_block_sums(values, side) / np.float32(side * side), np.float32)
+    many = _block_sums(there.astype(np.float32), side)
+    total = _block_sums(np.where(there, values, np.float32(0)), side)
+    return np.asarray(total / np.maximum(many, 1), np.float32)
+
+
+def _block_sums(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    rows, columns = (n // side for n in values.shape)
+    down = values.reshape(rows, side, -1).sum(axis=1)
+    return np.asarray(down.reshape(rows, columns, side).sum(axis=2))
 
 
 def _shown(chosen: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:

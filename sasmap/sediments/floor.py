@@ -6,7 +6,8 @@ In memory are statistics of blocks alone, one of 256 pixels.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -31,6 +32,8 @@ Part = tuple[slice, slice]
 TILE = 64 * BLOCK
 # Pixels that tell a class's law: evenly thinned, of so many blocks at most.
 SAMPLES, SAMPLED_BLOCKS = 60_000, 512
+# Blocks of a look whose pixels are kept for the next law: 25 MB.
+KEPT = 8192
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ class Flat:
         Gain by range, beyond the trend.
     number : int
         Of the look in those.
+    kept : dict
+        What has been read of single blocks; shared among several gains of one look.
     """
 
     look: AmplitudeGrid
@@ -55,6 +60,7 @@ class Flat:
     centre: float
     bands: Bands | None = None
     number: int = 0
+    kept: dict[tuple[int, int], NDArray[np.float32]] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -62,16 +68,44 @@ class Flat:
         rows, columns = self.look.amplitude.shape
         return rows, columns
 
-    def __getitem__(self, part: Any) -> FloatArray:
+    def __getitem__(self, part: Any) -> NDArray[np.floating]:
         """Return amplitudes of a part; NaN where there is none."""
-        cotangent = np.asarray(self.look.cotangent[part], float)
+        altitude = None
+        if self.bands is not None and self.look.altitude is not None:
+            altitude = np.asarray(self.look.altitude[part], np.float32)
+        cotangent = np.asarray(self.look.cotangent[part], np.float32)
+        return self._leveled(self.look.amplitude[part], cotangent, altitude)
+
+    def blocks(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.floating]:
+        """Return amplitudes of the pixels of some blocks (blocks, pixels)."""
+        if not rows.size:
+            return np.empty((0, BLOCK**2), np.float32)
+        layers = np.stack([self._raw(int(r), int(c)) for r, c in zip(rows, columns, strict=True)])
+        altitude = None if self.look.altitude is None else layers[:, 2]
+        return self._leveled(layers[:, 0], layers[:, 1], altitude)
+
+    def _raw(self, row: int, column: int) -> NDArray[np.float32]:
+        """Amplitude, cotangent and altitude, if there is any, of a block (2 or 3, pixels)."""
+        found = self.kept.get((row, column))
+        if found is None:
+            part = _pixels(row, column)
+            found = np.array([np.ravel(v[part]) for v in self.look if v is not None], np.float32)
+            if len(self.kept) < KEPT:
+                self.kept[row, column] = found
+        return found
+
+    def _leveled(
+        self,
+        amplitude: NDArray[np.floating],
+        cotangent: NDArray[np.float32],
+        altitude: NDArray[np.float32] | None,
+    ) -> NDArray[np.floating]:
         gain = trend_of(self.trend, log_cotangent(cotangent) - self.centre)
         if self.bands is not None:
-            altitude = None if self.look.altitude is None else self.look.altitude[part]
             gain = gain + self.bands.of(self.number, cotangent, altitude)
-        return np.asarray(self.look.amplitude[part] * np.exp(-gain))
+        return np.asarray(amplitude * np.exp(-gain))
 
-    def logs(self, part: Any) -> FloatArray:
+    def logs(self, part: Any) -> NDArray[np.floating]:
         """Return log amplitudes of a part; NaN where there is none."""
         values = self[part]
         return np.log(np.where(values > 0, values, np.nan))
@@ -142,7 +176,7 @@ def gather(
 
     def read(at: tuple[int, Part]) -> Blocks:
         k, part = at
-        rasters = (None if v is None else np.asarray(v[part], float) for v in looks[k])
+        rasters = (None if v is None else np.asarray(v[part], np.float32) for v in looks[k])
         return block_statistics(AmplitudeGrid(*rasters), 0.0)
 
     for (k, part), told in zip(every, mapped(read, every, workers), strict=True):
@@ -170,13 +204,18 @@ def pixels_of(flat: Sequence[Flat], blocks: NDArray[np.bool_]) -> FloatArray:
     """
     where = np.flatnonzero(blocks)
     if where.size > SAMPLED_BLOCKS:
-        # at random: an even step may meet the same columns over and over
-        where = np.sort(np.random.default_rng(0).choice(where, SAMPLED_BLOCKS, replace=False))
-    values = []
-    for row, column in zip(*np.unravel_index(where, blocks.shape), strict=True):
-        part = _pixels(int(row), int(column))
-        values += [one[part].ravel() for one in flat]
-    return thinned(np.concatenate(values)) if values else np.empty(0)
+        # at random, since an even step may meet the same columns over and over; the same ones first
+        # in every draw, so that most have been read before
+        order = _order(blocks.size)[where]
+        where = np.sort(where[np.argpartition(order, SAMPLED_BLOCKS)[:SAMPLED_BLOCKS]])
+    place = np.unravel_index(where, blocks.shape)
+    return thinned(np.concatenate([one.blocks(*place) for one in flat], axis=1).ravel())
+
+
+@lru_cache(maxsize=4)
+def _order(blocks: int) -> NDArray[np.int64]:
+    """Random order of the blocks of a lattice."""
+    return np.random.default_rng(0).permutation(blocks)
 
 
 def thinned(values: FloatArray) -> FloatArray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from sasmap.numerics.threads import Workers, mapped
@@ -243,7 +244,17 @@ def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[n
         first = int(end)
 
 
-def paint(label: Any, lines: Sequence[Line], result: Any) -> None:
+class _Stretch(NamedTuple):
+    """Some nodes of a line, and the pixels that they may be nearest to."""
+
+    line: int
+    first: int
+    last: int
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+
+def paint(label: Any, lines: Sequence[Line], result: Any, workers: Workers = 1) -> None:
     """Paint a map to agree with refined lines: near one, each side is its class.
 
     Parameters
@@ -252,42 +263,69 @@ def paint(label: Any, lines: Sequence[Line], result: Any) -> None:
     lines : sequence of Line
     result : array of uint8 (rows, columns)
         What `label` holds; changed where one of a line's own two classes was.
+    workers : int, None or callable
+        Threads, or what spreads work.
     """
-    for line in lines:
-        nodes = line.boundary.points
-        across = normals(nodes, line.boundary.closed)
-        tree = cKDTree(nodes)
-        for first in range(0, len(nodes), PIECE):
-            _paint_piece(label, line, across, tree, (first, min(first + PIECE, len(nodes))), result)
+    stretches = [s for k, line in enumerate(lines) for s in _stretches(k, line, label.shape)]
+    across = [normals(line.boundary.points, line.boundary.closed) for line in lines]
+    low = np.array([s.low for s in stretches]).reshape(-1, 2)
+    high = np.array([s.high for s in stretches]).reshape(-1, 2)
+
+    def one(corner: tuple[int, ...]) -> None:
+        end = [min(c + STRIPE, n) for c, n in zip(corner, label.shape, strict=True)]
+        mine = np.flatnonzero(((low < end) & (high > corner)).all(axis=1))
+        if not mine.size:
+            return
+        part = slice(corner[0], end[0]), slice(corner[1], end[1])
+        before, after = np.asarray(label[part]), np.array(result[part])
+        for k in mine:
+            line = stretches[k].line
+            _paint_stretch(before, after, corner, lines[line], across[line], stretches[k])
+        result[part] = after
+
+    corners = product(*(range(0, n, STRIPE) for n in label.shape))
+    deque(mapped(one, corners, workers), 0)
 
 
-def _paint_piece(
-    label: Any, line: Line, across: FloatArray, tree: Any, piece: tuple[int, int], result: Any
-) -> None:
-    """Paint the pixels whose nearest node is one of a piece of a line."""
+def _stretches(number: int, line: Line, shape: tuple[int, int]) -> Iterator[_Stretch]:
     nodes = line.boundary.points
-    mine = nodes[slice(*piece)]
-    low = np.maximum(np.floor(mine.min(axis=0) - PAINTED).astype(int), 0)
-    high = np.minimum(np.ceil(mine.max(axis=0) + PAINTED).astype(int) + 1, label.shape)
-    part = slice(low[0], high[0]), slice(low[1], high[1])
-    if (high <= low).any():
-        return
-    reach = float(np.hypot(*(high - low))) + PAINTED
-    near = np.sort(np.array(tree.query_ball_point((low + high) / 2, reach), np.int64))
-    last = len(nodes) - 1 if not line.boundary.closed else len(nodes)
-    first = 0 if line.boundary.closed else 1  # beyond its ends a line says nothing
+    for first in range(0, len(nodes), PIECE):
+        mine = nodes[first : first + PIECE]
+        low = np.maximum(np.floor(mine.min(axis=0) - PAINTED).astype(int), 0)
+        high = np.minimum(np.ceil(mine.max(axis=0) + PAINTED).astype(int) + 1, shape)
+        if (high > low).all():
+            last = min(first + PIECE, len(nodes))
+            yield _Stretch(number, first, last, (low[0], low[1]), (high[0], high[1]))
+
+
+def _paint_stretch(
+    before: Labels,
+    after: Labels,
+    corner: tuple[int, ...],
+    line: Line,
+    across: FloatArray,
+    stretch: _Stretch,
+) -> None:
+    """Paint the pixels of a block whose nearest node is one of a stretch of a line."""
+    nodes, closed = line.boundary.points, line.boundary.closed
+    low = np.maximum(np.array(stretch.low) - corner, 0)
+    high = np.minimum(np.array(stretch.high) - corner, before.shape)
+    beside = (nodes > low + corner - PAINTED - 1) & (nodes < high + corner + PAINTED + 1)
+    near = np.flatnonzero(beside.all(axis=1))
     side = sides_of(
-        low.astype(float),
+        (low + corner).astype(float),
         (int(high[0] - low[0]), int(high[1] - low[1])),
         (nodes[near], across[near], near),
-        (max(piece[0], first), min(piece[1], last)),
+        # beyond its ends a line says nothing
+        (
+            max(stretch.first, 0 if closed else 1),
+            min(stretch.last, len(nodes) if closed else len(nodes) - 1),
+        ),
         PAINTED,
     )
-    before = label[part]
-    here = ((before == line.left) | (before == line.right)) & (side != 0)
-    if here.any():
-        values = np.asarray(result[part])
-        result[part] = np.where(here, np.where(side < 0, line.left, line.right), values)
+    part = slice(low[0], high[0]), slice(low[1], high[1])
+    here = ((before[part] == line.left) | (before[part] == line.right)) & (side != 0)
+    after[part][here] = np.where(side[here] < 0, line.left, line.right)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -308,17 +346,19 @@ def sides_of(corner, shape, line, piece, reach):  # type: ignore[no-untyped-def]
         Farthest node, pixels.
     """
     nodes, across, numbers = line
+    rows, columns = shape
     side = np.zeros(shape, np.int8)
-    for r in range(shape[0]):
-        for c in range(shape[1]):
-            row, column = corner[0] + r, corner[1] + c
-            best, at = reach * reach, -1
-            for i in range(len(nodes)):
-                away = (row - nodes[i, 0]) ** 2 + (column - nodes[i, 1]) ** 2
-                if away < best:
-                    best, at = away, i
-            if at >= 0 and piece[0] <= numbers[at] < piece[1]:
-                offset = (row - nodes[at, 0]) * across[at, 0]
-                offset += (column - nodes[at, 1]) * across[at, 1]
-                side[r, c] = -1 if offset < 0.0 else 1
+    best = np.full(shape, reach * reach)
+    for i in range(len(nodes)):
+        row, column = nodes[i, 0] - corner[0], nodes[i, 1] - corner[1]
+        mine = piece[0] <= numbers[i] < piece[1]
+        for r in range(max(int(row - reach), 0), min(int(row + reach) + 2, rows)):
+            for c in range(max(int(column - reach), 0), min(int(column + reach) + 2, columns)):
+                away = (r - row) ** 2 + (c - column) ** 2
+                if away < best[r, c]:
+                    best[r, c] = away
+                    side[r, c] = 0
+                    if mine:
+                        offset = (r - row) * across[i, 0] + (c - column) * across[i, 1]
+                        side[r, c] = -1 if offset < 0.0 else 1
     return side

@@ -32,7 +32,7 @@ from sasmap.sediments.separation import (
     united,
     within,
 )
-from sasmap.sediments.texture import DECIDING, MARGIN, Texture, channels, learn
+from sasmap.sediments.texture import DECIDING, REACH, Texture, channels, learn
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit
 
 FloatArray = NDArray[np.float64]
@@ -69,10 +69,13 @@ class _Survey:
     rippled: Dark | None = None
     texture: BlockTexture | None = None
 
+    def __post_init__(self) -> None:
+        self.kept: list[dict[tuple[int, int], NDArray[np.float32]]] = [{} for _ in self.looks]
+
     def flat(self, trends: FloatArray, bands: Bands | None) -> list[Flat]:
         """Take gain, trend and bands, if there are any, off the looks."""
-        pairs = zip(self.looks, trends, strict=True)
-        return [Flat(v, trend, self.centre, bands, k) for k, (v, trend) in enumerate(pairs)]
+        each = enumerate(zip(self.looks, trends, self.kept, strict=True))
+        return [Flat(v, trend, self.centre, bands, k, kept) for k, (v, trend, kept) in each]
 
     def described(
         self, labels: NDArray[np.int64], trends: FloatArray, bands: Bands | None, dark: Dark
@@ -245,7 +248,7 @@ def _learned(
     """Learn textures of blocks' classes (from 1, 0 for none) from some tiles."""
     parts = []
     for part in chosen:
-        wide, inner = around(part, MARGIN, flat[0].shape)
+        wide, inner = around(part, REACH, flat[0].shape)
         rows, columns = (slice(s.start // BLOCK, -(-s.stop // BLOCK)) for s in part)
         marks = _marks_of(labels[rows, columns], [s.stop - s.start for s in part])
         if marks.any():

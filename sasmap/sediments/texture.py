@@ -32,8 +32,9 @@ CHANNELS = len(SCALES) + len(LAGS)
 WINDOWS = (9, 33)
 # Pixels of a window's evidence that one boundary may count as its own: a quarter of the largest.
 SHARED = 300.0
-# Pixels around a place that decide: half a window and half the coarsest scale, and its lag.
-MARGIN = 64
+# Pixels around a place that decide its channels (half the coarsest scale, or half the coarsest lag
+# and half of what is averaged), and its evidence: half a window more. Whole blocks.
+REACH, MARGIN = 16, 32
 BINS, TAILS = 60, 0.0005
 # Samples that stand in a bin before any are counted.
 PRIOR = 2.0

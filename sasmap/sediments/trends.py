@@ -6,22 +6,27 @@ two sides, or ranges, tell them apart.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Real = TypeVar("Real", bound=np.floating[Any])
 
 BLOCK = 16
 # Least cotangent of a grazing angle that is told apart: 3 degrees off the vertical.
 STEEPEST = 0.05
+# Pixels apart, each way, of those that tell where a block is.
+THINNED = 4
 # Of a block's pixels, how many must be known.
 MIN_KNOWN = 0.6
 # Blocks apart, at most, of pairs that tell the trend.
 LAGS = 4
 # Such pairs of one direction, at most: evenly thinned.
 PAIRS = 100_000
+# Rounds of reweighting, at most, and change of slope and bend that ends them.
+ROUNDS, SETTLED = 30, 1e-5
 # How far slope and bend within classes may be from what those say (standard deviation).
 SLOPE_SD = (0.12, 0.3)
 
@@ -67,17 +72,17 @@ class Blocks(NamedTuple):
     reach: FloatArray
 
 
-def log_cotangent(cotangent: FloatArray) -> FloatArray:
+def log_cotangent(cotangent: NDArray[Real]) -> NDArray[Real]:
     """Log of a grazing angle's cotangent; steeper than 45 degrees there is no trend."""
     return np.asarray(np.log(np.maximum(cotangent, 1.0)))
 
 
-def log_angle(cotangent: FloatArray) -> FloatArray:
+def log_angle(cotangent: NDArray[Real]) -> NDArray[Real]:
     """Log of a grazing angle's cotangent, also beneath the sonar."""
     return np.asarray(np.log(np.maximum(cotangent, STEEPEST)))
 
 
-def log_reach(cotangent: FloatArray, altitude: FloatArray) -> FloatArray:
+def log_reach(cotangent: NDArray[Real], altitude: NDArray[Real]) -> NDArray[Real]:
     """Log of the slant range, m."""
     return np.asarray(np.log(np.maximum(altitude, 1e-3)) + 0.5 * np.log1p(np.square(cotangent)))
 
@@ -89,20 +94,37 @@ def block_statistics(look: AmplitudeGrid, centre: float) -> Blocks:
     shape = (rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
     known = np.isfinite(amplitude) & (amplitude > 0)
     logs = np.log(np.where(known, amplitude, 1.0))[:rows, :columns].reshape(shape)
-    place = log_cotangent(np.nan_to_num(look.cotangent, nan=1.0)) - centre
     there = known[:rows, :columns].reshape(shape)
-    count = there.sum(axis=(1, 3)).astype(float)
+    count = _summed(there)
     total = np.maximum(count, 1)
-    mean = (logs * there).sum(axis=(1, 3)) / total
-    square = ((logs - mean[:, None, :, None]) ** 2 * there).sum(axis=(1, 3))
-    cotangent = np.nan_to_num(look.cotangent, nan=1.0)
-    places = [place, log_angle(cotangent)]
-    if look.altitude is not None:
-        places.append(log_reach(cotangent, np.nan_to_num(look.altitude, nan=1.0)))
-    at = [(v[:rows, :columns].reshape(shape) * there).sum(axis=(1, 3)) / total for v in places]
-    reach = at[2] if look.altitude is not None else np.zeros(count.shape)
+    mean = _summed(logs * there) / total
+    rest = logs - mean[:, None, :, None].astype(logs.dtype)
+    variance = _summed(rest * rest * there) / total
     enough = count >= MIN_KNOWN * BLOCK**2
-    return Blocks(mean, square / total, np.where(enough, count, 0.0), at[0], at[1], reach)
+    return Blocks(mean, variance, np.where(enough, count, 0.0), *_places(look, known, centre))
+
+
+def _places(look: AmplitudeGrid, known: NDArray[np.bool_], centre: float) -> list[FloatArray]:
+    """Place, angle and reach of blocks: they change so slowly that few pixels tell."""
+    rows, columns = (n // BLOCK * BLOCK for n in known.shape)
+    some = slice(THINNED // 2, rows, THINNED), slice(THINNED // 2, columns, THINNED)
+    side = BLOCK // THINNED
+    shape = rows // BLOCK, side, columns // BLOCK, side
+    there = known[some].reshape(shape)
+    there = there | ~there.any(axis=(1, 3), keepdims=True)
+    cotangent = np.nan_to_num(np.asarray(look.cotangent[some], float), nan=1.0)
+    places = [log_cotangent(cotangent) - centre, log_angle(cotangent)]
+    if look.altitude is not None:
+        altitude = np.nan_to_num(np.asarray(look.altitude[some], float), nan=1.0)
+        places.append(log_reach(cotangent, altitude))
+    means = [_summed(v.reshape(shape) * there) / _summed(there) for v in places]
+    return means if look.altitude is not None else [*means, np.zeros(means[0].shape)]
+
+
+def _summed(values: NDArray[Any]) -> FloatArray:
+    """Add up the pixels of blocks (block rows, their rows, block columns, their columns)."""
+    down = values.sum(axis=1, dtype=None if values.dtype != bool else np.float64)
+    return np.asarray(down.sum(axis=2, dtype=float))
 
 
 def first_trends(blocks: list[Blocks]) -> FloatArray:
@@ -142,20 +164,23 @@ def _slope(block: Blocks) -> FloatArray:
         return np.zeros(2)
     # from no trend at all: least squares would begin at what edges and objects make
     found: FloatArray = np.zeros(2)
-    for _ in range(30):
-        rest = y - design @ found
+    for _ in range(ROUNDS):
+        before, rest = found, y - design @ found
         scale = 1.5 * np.median(np.abs(rest)) + 1e-9
         heavy = design / (1 + (rest / scale) ** 2)[:, None]
         # what nothing tells stays at 0
         found = np.asarray(
             np.linalg.solve(heavy.T @ design + np.diag([1e-4, 1e-3]), heavy.T @ y), np.float64
         )
+        if np.abs(found - before).max() < SETTLED:
+            break
     return np.asarray(found)
 
 
-def trend_of(trend: FloatArray, place: FloatArray) -> FloatArray:
+def trend_of(trend: FloatArray, place: NDArray[Real]) -> NDArray[Real]:
     """Log of the amplitude that a gain, slope and bend make at log cotangents about the centre."""
-    return np.asarray(trend[0] + trend[1] * place + trend[2] * place * place)
+    gain, slope, bend = (float(v) for v in trend)  # of the precision that places have
+    return np.asarray(gain + slope * place + bend * place * place)
 
 
 def refit(

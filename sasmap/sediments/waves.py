@@ -15,10 +15,11 @@ from functools import cache
 from math import hypot
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, irfft2, next_fast_len, rfft2
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import gaussian_filter
 
 FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -353,9 +354,34 @@ def _rounded(mask: NDArray[np.bool_], opened: float, closed: float) -> NDArray[n
 
 
 def _grown(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    if not mask.any():
-        return mask
-    return np.asarray(distance_transform_edt(~mask) <= radius)
+    return np.asarray(_discs(mask, radius)) if mask.any() else mask
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _discs(mask, radius):  # type: ignore[no-untyped-def]
+    """Pixels no farther than a radius from one of a mask."""
+    rows, columns = mask.shape
+    reach = int(radius)
+    half = np.array([int(np.sqrt(radius * radius - d * d)) for d in range(reach + 1)])
+    beside = np.empty((rows, columns), np.int64)
+    for r in range(rows):
+        last = -columns - reach - 1
+        for c in range(columns):
+            if mask[r, c]:
+                last = c
+            beside[r, c] = c - last
+        last = 2 * columns + reach + 1
+        for c in range(columns - 1, -1, -1):
+            if mask[r, c]:
+                last = c
+            beside[r, c] = min(beside[r, c], last - c)
+    grown = np.zeros((rows, columns), np.bool_)
+    for r in range(rows):
+        for s in range(max(r - reach, 0), min(r + reach + 1, rows)):
+            most = half[abs(r - s)]
+            for c in range(columns):
+                grown[r, c] |= beside[s, c] <= most
+    return grown
 
 
 def _left_over(rest: NDArray[np.floating], known: NDArray[np.floating], average: _Along) -> Single:

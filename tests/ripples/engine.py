@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from sasmap.ripples.demodulation import demodulate
 from sasmap.ripples.fit import Task, clip_geometry
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import as_image
-from sasmap.ripples.phase import demodulate, straight
+from sasmap.ripples.phase import straight
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendering import (
     LAW_KNOTS,

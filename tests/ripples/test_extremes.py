@@ -20,8 +20,9 @@ def test_finite_estimate_or_the_right_code(name):
     assert EXTREMES["finite"](posterior)
 
 
-def test_a_glaring_pixel_changes_nothing_else():
+def test_a_glaring_pixel_widens_the_interval_and_does_no_more():
     clip = CASES["one pixel of 1e6 times the rest"][0]
     bright = estimate(clip, RippleSettings(scattering="zare-cobb"), rng=1)  # what simulated it
     assert abs(float(bright.mean.frequency) - 0.6) < 1e-3
-    assert abs(float(bright.mean.height) - 0.07) < 2e-3
+    off = abs(float(bright.mean.height) - 0.07)
+    assert off < min(2 * float(bright.sd.height), 4e-3)

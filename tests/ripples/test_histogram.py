@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
+from sasmap.ripples.demodulation import demodulate
 from sasmap.ripples.histogram import BLOCK_SHARE, LEAST_BLOCK, MOST_GROUPS, histogram, range_edges
 from sasmap.ripples.image import as_image
-from sasmap.ripples.phase import demodulate, straight
+from sasmap.ripples.phase import straight
 from tests.helpers import clip_of
 from tests.ripples.engine import coherent, summed
 

@@ -12,9 +12,11 @@ from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.heights import without_scatter
 from sasmap.ripples.information import Information, moments, products, widened
 from sasmap.ripples.looks import (
+    LAW,
     LAW_MEAN,
     LAW_VARIANCE,
     Shared,
+    _likelihood,
     collect,
     law_factor,
     steepness_factor,
@@ -298,3 +300,18 @@ def test_the_same_looks_give_the_same_model():
     for a, b in zip(first.values, second.values, strict=True):
         for one, other in zip(a, b, strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+def test_no_look_knows_less_than_its_prior():
+    # n and c wider than the sampling prior, in a direction too that neither axis shows
+    wide = np.diag([1e-3, 0.05, 1.0, 3.0, 0.8]) ** 2
+    wide[3, 4] = wide[4, 3] = -0.9 * 3.0 * 0.8
+    narrow = np.diag([1e-3, 0.05, 1.0, 0.3, 0.2]) ** 2
+    covariance = np.array([[wide], [narrow]])
+    mean = np.tile([0.0, -1.0, 40.0, 1.2, 0.4], (2, 1, 1))
+    told = _likelihood(np.ones((2, 1)), mean, covariance, np.full(2, 0.3), (0.09, np.log(2)))
+    assert (np.linalg.eigvalsh(told.precision) > 0).all()
+    free = np.linalg.inv(narrow)
+    free[LAW, LAW] -= np.diag(1 / LAW_VARIANCE)
+    assert told.precision[1, 0, 3, 3] <= free[3, 3]  # steepness was divided out as well
+    assert told.precision[1, 0, 3, 3] > 0.8 * free[3, 3]

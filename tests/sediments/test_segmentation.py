@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from skimage.measure import label as measure_label
 
 from sasmap.sediments import floor, k_distribution, mapping, segmentation
 from sasmap.sediments.classmap import averaged, class_map, log_likelihoods, sieved
@@ -193,6 +194,41 @@ def test_small_patches_go_where_they_are_asked_about():
     assert (found[10:20, 10:20] == 1).all()
     np.testing.assert_array_equal(found[:, 30:], label[:, 30:])
     assert (sieved(label, 200) < 2).all()
+
+
+def test_small_patches_go_to_the_nearest_that_stays():
+    rng = np.random.default_rng(4)
+    label = np.kron(rng.integers(1, 4, (12, 12)), np.ones((8, 8))).astype(np.uint8)
+    label[rng.random(label.shape) < 0.02] = 3
+    label[30:50, 20:60] = 0
+    found = sieved(label, 100)
+    parts = measure_label(label, background=0, connectivity=1)
+    small = (np.bincount(parts.ravel()) < 100)[parts] & (label > 0)
+    stays = np.argwhere((label > 0) & ~small)
+    assert small.sum() > 500
+    np.testing.assert_array_equal(found[~small], label[~small])
+    for place in np.argwhere(small):
+        away = np.hypot(*(stays - place).T)
+        alike = label[tuple(stays.T)] == found[tuple(place)]
+        assert away[alike].min() == away.min()
+
+
+def test_painting_does_not_depend_on_blocks(monkeypatch):
+    label = regions("three").astype(np.uint8) + 1
+    at = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+    ring = np.column_stack([160 + 70 * np.sin(at), 150 + 90 * np.cos(at)])
+    way = np.column_stack([np.linspace(319, -1, 80), 150 + 8 * np.sin(np.arange(80))])
+    lines = [
+        Line(1, 2, Boundary(way, np.full(80, 1.0), False, 1)),
+        Line(2, 3, Boundary(ring, np.full(120, 1.0), True, 1)),
+    ]
+    whole = label.copy()
+    paint(label, lines, whole)
+    monkeypatch.setattr(mapping, "STRIPE", 64)
+    parts = label.copy()
+    paint(label, lines, parts, 2)
+    assert (whole != label).sum() > 500
+    np.testing.assert_array_equal(parts, whole)
 
 
 def test_painting_changes_no_third_class():

@@ -6,6 +6,7 @@ from scipy.ndimage import gaussian_filter
 from sasmap.run.class_models import model_text, read_model
 from sasmap.sediments import segmentation
 from sasmap.sediments.classmap import class_map, log_likelihoods
+from sasmap.sediments.description import LEVELS, block_texture
 from sasmap.sediments.grouping import bhattacharyya
 from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import LAGS, SCALES, channels
@@ -91,6 +92,34 @@ def test_what_is_unknown_tells_nothing():
     assert np.isnan(part[:, :, 200:]).all()
     np.testing.assert_allclose(part[:, :, :180], whole[:, :, :180], rtol=1e-4, atol=1e-5)
     assert np.isfinite(part[:, :, :200]).all()
+
+
+def test_blocks_are_described_as_their_pixels_are():
+    """A few averages tell what all do: level, scatter and differences at each scale."""
+    image = bed(3, 3.0)
+    found = channels(np.log(image))
+    sums = block_texture(image).astype(float)
+    count, split = sums[..., 0].sum(), len(LEVELS)
+    means = sums[..., 1:].sum(axis=(0, 1)) / count
+    for k in range(split):
+        assert means[k] == pytest.approx(found[k].mean(), abs=0.01)
+        wanted = found[k].var()
+        assert means[split + k] - means[k] ** 2 == pytest.approx(wanted, rel=0.03)
+        wanted = (found[len(SCALES) + k] ** 2).mean()
+        assert means[2 * split + k] == pytest.approx(wanted, rel=0.05)
+
+
+def test_unknown_pixels_do_not_describe_a_block():
+    image = np.full((48, 48), 3.0)
+    image[:, 24:] = np.nan
+    sums = block_texture(image)
+    assert (sums[:, 0, 0] == 256).all()
+    assert (sums[:, 1, 0] == 128).all()
+    assert (sums[:, 2] == 0).all()
+    split = len(LEVELS)
+    half = sums[:, 1, 1:] / sums[:, 1, :1]
+    assert half[:, :split] == pytest.approx(np.log(3.0), abs=1e-5)
+    assert half[:, 2 * split :] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_textures_go_to_other_surveys(tmp_path):

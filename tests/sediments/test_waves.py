@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from sasmap.sediments import waves as module
 from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
@@ -71,6 +71,13 @@ def test_a_doubtful_wave_needs_a_sure_one_beside_it(monkeypatch):
     sure, doubtful = module._Wave(0.1, 0.02, 5.0), module._Wave(-0.09, -0.03, 1.4)
     assert doubtful.like(sure)
     assert not module._Wave(0.1, -0.08, 1.4).like(sure)
+
+
+@pytest.mark.parametrize("radius", [0.7, 3.0, 11.4])
+def test_a_mask_grows_by_discs(radius):
+    mask = np.random.default_rng(2).random((60, 83)) < 0.004
+    found = module._discs(mask, radius)
+    np.testing.assert_array_equal(found, distance_transform_edt(~mask) <= radius)
 
 
 def test_ripples_end_where_they_end():
