@@ -1,13 +1,14 @@
 """Heights of whole surveys: one scattering law, a few cells with shadow, the rest by contrast.
 
-    python pipelines/ripples/surveys.py [--surveys 6] [--cells 60] [--shadowed 15] [--csv FILE]
-        [--cache FOLDER]
+    python pipelines/ripples/surveys.py [--surveys 6] [--cells 60] [--shadowed 15] [--mixed]
+        [--csv FILE] [--cache FOLDER]
 
 Each survey has one scattering law, of the fitted family or outside it, rendered by the coherent
 simulator. Ripples cast shadow in its far cells, and not in the others. Every cell is estimated
 alone; then the law is estimated from all of them. Prints coverage and error of A_H before and
-after, for cells with shadow and without. With a cache the looks are estimated once and stored
-there, so that the second stage can be studied again in seconds.
+after, for cells with shadow and without. `--mixed` makes surveys of two sediments: every second
+cell of one survey and the others of another, for each pair of surveys. With a cache the looks are
+estimated once and stored there, so that the second stage can be studied again in seconds.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import csv
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ import numpy as np
 from sasmap.ripples import Quality, RippleSettings, estimate
 from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.summary import Summary, summarise
+from sasmap.ripples.survey import quantiles_of
 from sasmap.simulate import coherent_cell
 from sasmap.simulate.laws import PowerLaw
 
@@ -101,13 +104,16 @@ def describe(title: str, rows: list[dict[str, Any]]) -> None:
     print("   ".join(parts), flush=True)
 
 
-def run(
+def looks_of(
     seed: int, cells: int, shadowed: int, size: int, pool: Any, cache: Path | None
-) -> list[dict[str, Any]]:
-    """Simulate and estimate one survey; a row for each good cell."""
-    law = law_of(seed)
+) -> list[Look]:
+    """Simulate and estimate the cells of one survey."""
     jobs = [(seed, i, i < shadowed) for i in range(cells)]
-    found = list(pool.map(partial(one, law=law, size=size, cache=cache), jobs))
+    return list(pool.map(partial(one, law=law_of(seed), size=size, cache=cache), jobs))
+
+
+def judge(title: str, found: list[Look], seed: int) -> list[dict[str, Any]]:
+    """Estimate the law of a survey from its looks; a row for each good cell."""
     summaries = [[summary] for summary, _ in found]
     survey = learn_survey(summaries, RippleSettings(), seed)
     rows = []
@@ -116,7 +122,7 @@ def run(
     ):
         if summary.quality is not Quality.GOOD:
             continue
-        row = {"seed": seed, "law": str(law), **truth}
+        row = {"survey": title, **truth}
         for when, known in (("alone", summary), ("survey", fused.final)):
             low, high = known.q05[1], known.q95[1]
             row |= {
@@ -125,13 +131,15 @@ def run(
                 f"{when}_covers": covers(low, high, truth["height"]),
             }
         rows.append(row)
-    quantiles = survey.quantiles()
-    print(
-        f"survey {seed}: law {law}; estimated n, c:",
-        np.round(quantiles["law"], 2).tolist(),
-        "spread",
-        np.round(quantiles["spread"][1], 2).tolist(),
-    )
+    for draws in survey.found:
+        quantiles = quantiles_of([p.shared for p in draws])
+        share = 100 * np.mean([p.weight for p in draws])
+        print(
+            f"survey {title}; estimated of {share:.0f} % of the cells n, c:",
+            np.round(quantiles["law"], 2).tolist(),
+            "spread",
+            np.round(quantiles["spread"][1], 2).tolist(),
+        )
     describe("  with shadow", [r for r in rows if r["shadowed"]])
     describe("  by contrast", [r for r in rows if not r["shadowed"]])
     return rows
@@ -146,15 +154,24 @@ def main() -> None:
     parser.add_argument("--shadowed", type=int, default=15)
     parser.add_argument("--size", type=int, default=500)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--mixed", action="store_true", help="two laws in each survey")
     parser.add_argument("--csv")
     parser.add_argument("--cache", type=Path)
     options = parser.parse_args()
     if options.cache:
         options.cache.mkdir(parents=True, exist_ok=True)
-    rows = []
+    seeds = range(options.first, options.first + options.surveys)
+    drawn = options.cells, options.shadowed, options.size
     with ProcessPoolExecutor(options.workers) as pool:
-        for seed in range(options.first, options.first + options.surveys):
-            rows += run(seed, options.cells, options.shadowed, options.size, pool, options.cache)
+        found = {seed: looks_of(seed, *drawn, pool, options.cache) for seed in seeds}
+    rows = []
+    if options.mixed:
+        for first, other in combinations(seeds, 2):
+            title = f"{first} with {other}: laws {law_of(first)} and {law_of(other)}"
+            rows += judge(title, found[first][::2] + found[other][1::2], first)
+    else:
+        for seed in seeds:
+            rows += judge(f"{seed}: law {law_of(seed)}", found[seed], seed)
     describe("all with shadow", [r for r in rows if r["shadowed"]])
     describe("all by contrast", [r for r in rows if not r["shadowed"]])
     if options.csv:

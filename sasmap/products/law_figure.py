@@ -52,8 +52,9 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
         )
         low, centre, high = np.quantile(levels, (0.05, 0.5, 0.95), axis=0)
         axes.fill_between(degrees, low, high, color=colour, alpha=0.25, linewidth=0)
-        name = f"law {number}" if survey.apart else "estimated"
-        axes.plot(degrees, centre, color=colour, label=f"{name}, with 90 % interval")
+        share = 100 * np.mean([p.weight for p in draws])
+        name = f"law {number}, {share:.0f} % of the cells" if survey.apart else "estimated"
+        axes.plot(degrees, centre, color=colour, label=f"{name} (90 % interval)")
     for name, (n, c, line) in OTHERS.items():
         axes.plot(degrees, level(n, c, degrees, middle), line, color="#333333", label=name)
     axes.axvspan(*grazing, color="#000000", alpha=0.06, linewidth=0)
@@ -61,7 +62,7 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     axes.set_xticks([2, 5, 10, 20, 40, 70], ["2", "5", "10", "20", "40", "70"])
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("local grazing angle (degrees)", fontsize=8)
-    axes.set_ylabel("intensity (dB)", fontsize=8)
+    axes.set_ylabel(f"intensity (dB over that at {middle:.0f}°)", fontsize=8)
     axes.tick_params(labelsize=7)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
@@ -91,7 +92,8 @@ def law_caption(survey: SurveyModel) -> str:
         text = (
             "Two scattering laws sin(θ)^n exp(-c (θ - 90°)²) are told apart; "
             + "; ".join(laws)
-            + ". A cell that does not say which law is its own has the heights of both."
+            + ". Where the image of a cell does not tell which law is its own, the interval of its "
+            "height covers what follows from both."
         )
         return text
     n_low, n_high = quantiles["law"][0][0], quantiles["law"][2][0]

@@ -197,7 +197,10 @@ def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]
         f"sediment_{name}": (
             ("statistic", "sediment"),
             values[..., i],
-            {"units": "1", "long_name": f"{about}; sediments with laws told apart"},
+            {
+                "units": "1",
+                "long_name": f"{about}; laws told apart, not mapped classes",
+            },
         )
         for i, (name, about) in enumerate(described.items())
     }

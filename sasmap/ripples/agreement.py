@@ -7,17 +7,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.ripples.heights import at_height, with_scatter, without_scatter
 from sasmap.ripples.information import Information, moments
-from sasmap.ripples.looks import (
-    LAW,
-    LOG_HEIGHT,
-    Looks,
-    at_height,
-    law_factor,
-    steepness_factor,
-    with_scatter,
-    without_scatter,
-)
+from sasmap.ripples.looks import LAW, LOG_HEIGHT, Looks, law_factor, steepness_factor
 from sasmap.ripples.survey import SurveyModel, with_prior
 
 FloatArray = NDArray[np.float64]

@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 
 from sasmap.ripples.derived import UNKNOWN as UNDERIVED
 from sasmap.ripples.derived import Derived
-from sasmap.ripples.mixture import Marginal, marginals
+from sasmap.ripples.mixture import Marginal, marginals, weighted
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
 
 FloatArray = NDArray[np.float64]
-
-# Least weight of the components of a cell's estimate: less changes no digit of the products.
-NEGLIGIBLE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -47,14 +44,13 @@ FLAT = CellEstimate(sd=(float("inf"),) * 2, azimuth=(NAN, float("inf")))
 
 
 def estimates(
-    level: FloatArray, mean: FloatArray, covariance: FloatArray, settings: RippleSettings
+    weight: FloatArray, mean: FloatArray, covariance: FloatArray, settings: RippleSettings
 ) -> list[CellEstimate]:
     """Summarise mixtures over log f, log A_H and azimuth.
 
     Parameters
     ----------
-    level : ndarray (cells, K)
-        Log weights.
+    weight : ndarray (cells, K)
     mean : ndarray (cells, K, 3)
     covariance : ndarray (cells, K, 3, 3)
     settings : RippleSettings
@@ -63,21 +59,11 @@ def estimates(
     -------
     list of CellEstimate
     """
-    weight = np.exp(level - level.max(axis=1, keepdims=True))
-    weight /= weight.sum(axis=1, keepdims=True)
-    # negligible components are dropped
-    weight[weight < NEGLIGIBLE] = 0.0
-    last = int((weight > 0).sum(axis=1).max())
-    heavy = np.argsort(-weight, axis=1, kind="stable")[:, :last]
-    weight = np.take_along_axis(weight, heavy, 1)
-    weight /= weight.sum(axis=1, keepdims=True)
-    mean = np.take_along_axis(mean, heavy[..., None], 1)
-    covariance = np.take_along_axis(covariance, heavy[..., None, None], 1)
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])
     # f is far better known than A_H, whose bounds are those of the steepness at the cell's f
-    steep = np.log(2) + (weight * mean[..., 0]).sum(axis=1) + bounds[1][:, None]
+    steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds[1][:, None]
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
     logs = [
         (mean[..., 0], variance[..., 0], bounds[0]),
@@ -86,8 +72,8 @@ def estimates(
         (-mean[..., 0], variance[..., 0], -bounds[0][::-1]),
     ]
     found = [marginals(weight, m, np.sqrt(np.maximum(v, 1e-20)), b) for m, v, b in logs]
-    turn = (weight * mean[..., 2]).sum(axis=1)
-    spread = (weight * (variance[..., 2] + (mean[..., 2] - turn[:, None]) ** 2)).sum(axis=1)
+    turn = weighted(weight, mean[..., 2])
+    spread = weighted(weight, variance[..., 2] + (mean[..., 2] - turn[:, None]) ** 2)
     return [
         CellEstimate(
             mean=_pair(found, "mean", i),
@@ -97,7 +83,7 @@ def estimates(
             azimuth=(float(turn[i] % 180), float(np.sqrt(spread[i]))),
             derived=_derived(found, i),
         )
-        for i in range(len(level))
+        for i in range(len(weight))
     ]
 
 

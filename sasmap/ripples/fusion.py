@@ -16,33 +16,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
-from sasmap.ripples.information import Information, moments, multiplied
-from sasmap.ripples.looks import Looks, Shared, at_height, collect, law_factor, steepness_factor
+from sasmap.ripples.combination import after_each
+from sasmap.ripples.looks import Looks, collect
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.registration import Moves, left_over, registration
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
-from sasmap.ripples.survey import (
-    MOST_KEPT,
-    Populations,
-    SurveyModel,
-    learn,
-    settled,
-    with_prior,
-)
-
-FloatArray = NDArray[np.float64]
+from sasmap.ripples.survey import SurveyModel, learn
 
 # Standard deviations that Zare and Cobb (2013) set by hand: cycles/m and m.
 PUBLISHED_SD = (0.003, 0.17)
 # Cells that are combined at once: bounds memory.
-CHUNK = 500
+CHUNK = 200
 
 
 @dataclass(frozen=True)
@@ -290,86 +279,14 @@ def _products(
     settings: RippleSettings,
 ) -> dict[int, dict[int, CellEstimate]]:
     """Estimates of each cell after each look of its group, averaged over the shared parameters."""
-    size = np.array([len(g) for g in groups])
     used = np.array([k in groups[i] for i, k in zip(looks.cell, looks.swath, strict=True)])
-    several = (size[looks.cell] > 1)[:, None]
-    parts = [_averaged(looks, d, used, several, settings) for d in survey.draws]
+    order = np.lexsort([looks.swath, looks.cell])
+    some = looks.some(order[used[order]])
     result: dict[int, dict[int, CellEstimate]] = {}
-    for k in parts[0]:
-        rows = parts[0][k][0]
-        level, mean, covariance = (
-            np.concatenate([p[k][i] for p in parts], axis=1) for i in (1, 2, 3)
-        )
-        found = estimates(level, mean, covariance, settings)
-        for r, estimate in zip(rows, found, strict=True):
-            result.setdefault(int(looks.cell[r]), {})[k] = estimate
-    return result
-
-
-_After = dict[int, tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray]]
-
-
-def _averaged(
-    looks: Looks,
-    populations: Populations,
-    used: NDArray[np.bool_],
-    several: NDArray[np.bool_],
-    settings: RippleSettings,
-) -> _After:
-    """Average over the populations that a cell's law may be of, by share and evidence."""
-    parts = [_after_each(looks, p.shared, used, several, settings) for p in populations]
-    result: _After = {}
-    for k, (rows, *_) in parts[0].items():
-        level = np.concatenate(
-            [part[k][1] + np.log(p.weight) for part, p in zip(parts, populations, strict=True)],
-            axis=1,
-        )
-        level = level - logsumexp(level, axis=1, keepdims=True)
-        mean, covariance = (np.concatenate([p[k][i] for p in parts], axis=1) for i in (2, 3))
-        result[k] = rows, level, mean, covariance
-    return result
-
-
-def _after_each(
-    looks: Looks,
-    shared: Shared,
-    used: NDArray[np.bool_],
-    several: NDArray[np.bool_],
-    settings: RippleSettings,
-) -> _After:
-    """Multiply looks swath by swath.
-
-    For each swath its rows, and the log evidence, mean and covariance of log f, log A_H and azimuth
-    of their cells after it.
-    """
-    factor = at_height(looks, shared, np.where(several, shared.scatter, 0.0))
-    law = law_factor(shared, looks.with_law)
-    prior = with_prior(law, steepness_factor(factor.linear.shape[-1], _steepness(settings)))
-    cells, size = int(looks.cell.max()) + 1, factor.linear.shape[-1]
-    state = Information(
-        np.full((cells, MOST_KEPT), -np.inf),
-        np.zeros((cells, MOST_KEPT, size)),
-        np.tile(np.eye(size), (cells, MOST_KEPT, 1, 1)),
-    )
-    count = np.zeros(cells, int)
-    result = {}
-    for k in np.unique(looks.swath):
-        rows = np.flatnonzero((looks.swath == k) & used)
-        for some in (rows[count[looks.cell[rows]] == 0], rows[count[looks.cell[rows]] > 0]):
-            here = looks.cell[some]
-            total = Information(*(v[some] for v in factor))
-            if some.size and count[here[0]]:
-                total = multiplied(Information(*(v[here] for v in state)), total)
-            _, total = settled(total, prior)
-            n = total.level.shape[1]
-            for kept, new in zip(state, total, strict=True):
-                kept[here, :n] = new
-        count[looks.cell[rows]] += 1
-        if rows.size:
-            here = looks.cell[rows]
-            total = Information(*(v[here] for v in state))
-            level, mean, covariance = moments(with_prior(total, prior))
-            result[int(k)] = (rows, level, mean[..., :3], covariance[..., :3, :3])
+    if some.cell.size:
+        found = estimates(*after_each(some, survey, _steepness(settings)), settings)
+        for i, k, estimate in zip(some.cell, some.swath, found, strict=True):
+            result.setdefault(int(i), {})[int(k)] = estimate
     return result
 
 

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+# Log of the weight, over the heaviest's, below which a component of a product of looks is dropped:
+# looks that agree do not differ by as much, so it cannot become one that counts.
+SLIGHTEST = 16.0
+
 
 class Information(NamedTuple):
     """Gaussian factors exp(level + linear.u - u.precision.u / 2) in information form.
@@ -30,36 +34,6 @@ class Information(NamedTuple):
     precision: FloatArray
 
 
-def transformed(
-    level: FloatArray,
-    linear: FloatArray,
-    precision: FloatArray,
-    constant: FloatArray,
-    matrix: FloatArray | None,
-) -> Information:
-    """Express factors of v as factors of u, where v = matrix u + constant.
-
-    Parameters
-    ----------
-    level, linear, precision : ndarray (N, K), (N, K, D), (N, K, D, D)
-        As :class:`Information`, of v.
-    constant : ndarray (N, K, D)
-    matrix : ndarray (N, K, D, D) or None
-        None for the identity.
-
-    Returns
-    -------
-    Information (N, K)
-    """
-    pulled = (precision @ constant[..., None])[..., 0]
-    level = level + ((linear - 0.5 * pulled) * constant).sum(axis=-1)
-    linear = linear - pulled
-    if matrix is None:
-        return Information(level, linear, precision)
-    back = np.swapaxes(matrix, -1, -2)
-    return Information(level, (back @ linear[..., None])[..., 0], back @ precision @ matrix)
-
-
 def widened(factor: Information, sd: FloatArray) -> Information:
     """Convolve factors with independent Gaussians.
 
@@ -73,14 +47,11 @@ def widened(factor: Information, sd: FloatArray) -> Information:
     -------
     Information (..., K)
     """
-    linear = np.ascontiguousarray(factor.linear)
-    least = np.ascontiguousarray(np.broadcast_to(sd, linear.shape) ** -2.0)
-    new = Information(factor.level.copy(), linear.copy(), factor.precision.copy())
-    size = linear.shape[-1]
+    variance = np.ascontiguousarray(np.broadcast_to(sd, factor.linear.shape) ** 2.0)
+    new = Information(*(np.array(v, order="C") for v in factor))
+    size = variance.shape[-1]
     _widen(
-        least.reshape(-1, size),
-        linear.reshape(-1, size),
-        np.ascontiguousarray(factor.precision).reshape(-1, size, size),
+        variance.reshape(-1, size),
         new.level.reshape(-1),
         new.linear.reshape(-1, size),
         new.precision.reshape(-1, size, size),
@@ -143,7 +114,9 @@ def products(
     """
     result = np.empty(ends.size)
     whole = (np.ascontiguousarray(v) for v in factor)
-    _multiply_groups(ends, *whole, *(v[0] for v in prior), most, result)
+    _multiply_groups(
+        ends, *whole, prior.level[0], prior.linear[0], prior.precision[0], most, result
+    )
     return result
 
 
@@ -152,46 +125,92 @@ def products(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _factorise(matrix, pivots):  # type: ignore[no-untyped-def]
-    """Factorise a symmetric matrix in place into L D L^T; D goes to `pivots`."""
-    size = pivots.size
-    for j in range(size):
-        pivot = matrix[j, j]
-        for k in range(j):
-            pivot -= matrix[j, k] * matrix[j, k] * pivots[k]
-        pivots[j] = pivot
-        for i in range(j + 1, size):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k] * pivots[k]
-            matrix[i, j] = value / pivot
+def add(linear, precision, prior_linear, prior_precision, vector, matrix):  # type: ignore[no-untyped-def]
+    """Put the sum of two factors into `vector`, and its lower triangle into `matrix`."""
+    for i in range(vector.size):
+        vector[i] = linear[i] + prior_linear[i]
+        for j in range(i + 1):
+            matrix[i, j] = precision[i, j] + prior_precision[i, j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _solve(matrix, pivots, vector):  # type: ignore[no-untyped-def]
-    """Solve in place by the factors of :func:`_factorise`."""
-    size = pivots.size
-    for i in range(size):
-        for k in range(i):
-            vector[i] -= matrix[i, k] * vector[k]
-    for i in range(size - 1, -1, -1):
+def integral(level, vector, matrix, pivots):  # type: ignore[no-untyped-def]
+    """Log integral of a factor; minus infinity where it has none.
+
+    The matrix is factorised in place into L D L^T, D goes to `pivots`, and L^-1 to `vector`.
+    """
+    determinant = 1.0
+    for j in range(pivots.size):
+        pivot, value = matrix[j, j], vector[j]
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k] * pivots[k]
+            value -= matrix[j, k] * vector[k]
+        if not pivot > 0:
+            return -np.inf
+        pivots[j], vector[j] = pivot, value
+        level += 0.5 * value * value / pivot
+        determinant *= pivot
+        inverse = 1 / pivot
+        for i in range(j + 1, pivots.size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k] * pivots[k]
+            matrix[i, j] = value * inverse
+    return level - 0.5 * np.log(determinant)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def substitute(matrix, pivots, vector):  # type: ignore[no-untyped-def]
+    """Solve in place what :func:`integral` has left of a system: D L^T x = vector."""
+    for i in range(vector.size - 1, -1, -1):
         vector[i] /= pivots[i]
-        for k in range(i + 1, size):
+        for k in range(i + 1, vector.size):
             vector[i] -= matrix[k, i] * vector[k]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _integral(level, linear, precision, matrix, pivots, vector):  # type: ignore[no-untyped-def]
-    """Log integral of a factor; the last three are room to work in."""
-    matrix[:] = precision
-    vector[:] = linear
-    _factorise(matrix, pivots)
-    _solve(matrix, pivots, vector)
-    for i in range(pivots.size):
-        if not pivots[i] > 0:
-            return -np.inf
-        level += 0.5 * (linear[i] * vector[i] - np.log(pivots[i]))
-    return level
+def invert(matrix, pivots, column, inverse):  # type: ignore[no-untyped-def]
+    """Fill in the leading rows and columns of the inverse of what :func:`integral` factorised."""
+    for j in range(len(inverse)):
+        column[:] = 0.0
+        column[j] = 1.0
+        for i in range(j + 1, column.size):
+            for k in range(j, i):
+                column[i] -= matrix[i, k] * column[k]
+        substitute(matrix, pivots, column)
+        inverse[:, j] = column[: len(inverse)]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def blur(level, linear, precision, variance, column):  # type: ignore[no-untyped-def]
+    """Convolve a factor in place with independent Gaussians, one after the other.
+
+    P - P (P + W)^-1 P = W - W (P + W)^-1 W loses digits where W is large: the former.
+    """
+    size = linear.size
+    ratios = 1.0
+    for i in range(size):
+        least = 1 / variance[i]
+        pivot = least + precision[i, i]
+        ratios *= np.abs(pivot) * variance[i]
+        level += 0.5 * linear[i] * linear[i] / pivot
+        column[:] = precision[:, i]
+        push = linear[i] / pivot
+        for j in range(size):
+            linear[j] -= column[j] * push
+            share = column[j] / pivot
+            for k in range(j + 1):
+                precision[j, k] -= share * column[k]
+                precision[k, j] = precision[j, k]
+    return level - 0.5 * np.log(ratios)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _widen(variance, level, linear, precision):  # type: ignore[no-untyped-def]
+    """Convolve factors (n,), (n, D), (n, D, D) in place with Gaussians of `variance` (n, D)."""
+    column = np.empty(linear.shape[1])
+    for r in range(level.size):
+        level[r] = blur(level[r], linear[r], precision[r], variance[r], column)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -200,7 +219,9 @@ def _integrate(level, linear, precision, result):  # type: ignore[no-untyped-def
     n, size = linear.shape
     matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
     for r in range(n):
-        result[r] = _integral(level[r], linear[r], precision[r], matrix, pivots, vector)
+        matrix[:] = precision[r]
+        vector[:] = linear[r]
+        result[r] = integral(level[r], vector, matrix, pivots)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -209,37 +230,77 @@ def _moments(level, linear, precision, result, mean, covariance):  # type: ignor
     n, size = linear.shape
     matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
     for r in range(n):
-        result[r] = -np.inf
-        if level[r] > -np.inf:
-            result[r] = _integral(level[r], linear[r], precision[r], matrix, pivots, vector)
-        there = result[r] > -np.inf
-        if there:
-            mean[r] = vector
-        for j in range(size):
-            vector[:] = 0.0
-            vector[j] = 1.0
-            if there:
-                _solve(matrix, pivots, vector)
-            covariance[r, :, j] = vector
+        result[r], covariance[r] = -np.inf, np.eye(size)
+        if level[r] == -np.inf:
+            continue
+        matrix[:] = precision[r]
+        mean[r] = linear[r]
+        result[r] = integral(level[r], mean[r], matrix, pivots)
+        if result[r] > -np.inf:
+            substitute(matrix, pivots, mean[r])
+            invert(matrix, pivots, vector, covariance[r])
+        else:
+            mean[r] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _keep(number, level, linear, precision, kept, total, kept_linear, kept_precision, heavy):  # type: ignore[no-untyped-def]
-    """Move the heaviest of `number` components to `kept`; return how many."""
+def multiply(  # type: ignore[no-untyped-def]
+    count, kept, heavy, level, linear, precision, prior, room, new_linear, new_precision
+):
+    """Multiply a product of looks by one more; of its components keep the heaviest.
+
+    `kept` are level, linear term and precision of the `count` components of the product, and
+    `heavy` their log integrals under the prior, both changed in place; `prior` is level, linear
+    term and precision. The rest is room to work in. Returns the new number of components.
+    """
+    most, components, size = heavy.size, level.size, linear.shape[1]
+    kept_level, kept_linear, kept_precision = kept
+    prior_level, prior_linear, prior_precision = prior
+    new, total, matrix, pivots, vector = room
     n = 0
-    while n < min(number, kept.size):
+    for i in range(count):
+        for k in range(components):
+            if level[k] == -np.inf:
+                continue
+            new[n] = kept_level[i] + level[k]
+            for a in range(size):
+                new_linear[n, a] = kept_linear[i, a] + linear[k, a]
+                for b in range(size):
+                    new_precision[n, a, b] = kept_precision[i, a, b] + precision[k, a, b]
+            add(new_linear[n], new_precision[n], prior_linear, prior_precision, vector, matrix)
+            total[n] = integral(new[n] + prior_level, vector, matrix, pivots)
+            n += 1
+    left = 0
+    while left < min(n, most):
         best = 0
-        for j in range(1, number):
+        for j in range(1, n):
             if total[j] > total[best]:
                 best = j
-        if total[best] == -np.inf:
+        if total[best] == -np.inf or (left and total[best] < heavy[0] - SLIGHTEST):
             break
-        kept[n], heavy[n] = level[best], total[best]
-        kept_linear[n] = linear[best]
-        kept_precision[n] = precision[best]
+        kept_level[left], heavy[left] = new[best], total[best]
+        kept_linear[left] = new_linear[best]
+        kept_precision[left] = new_precision[best]
         total[best] = -np.inf
-        n += 1
-    return n
+        left += 1
+    return left
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def begin(kept):  # type: ignore[no-untyped-def]
+    """Make the product of no looks, of one component, in place."""
+    level, linear, precision = kept
+    level[0] = 0.0
+    linear[0] = 0.0
+    precision[0] = 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def workspace(most, components, size):  # type: ignore[no-untyped-def]
+    """Arrays that :func:`multiply` works in."""
+    n = most * components
+    room = np.empty(n), np.empty(n), np.empty((size, size)), np.empty(size), np.empty(size)
+    return room, np.empty((n, size)), np.empty((n, size, size))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -248,102 +309,28 @@ def _multiply_groups(  # type: ignore[no-untyped-def]
 ):
     """Fill in the log integrals (groups,) of the product of each group's factors and a prior."""
     components, size = linear.shape[1:]
-    matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
-    room = most * components
-    total, new = np.empty(room), np.empty(room)
-    new_linear, new_precision = np.empty((room, size)), np.empty((room, size, size))
-    kept, heavy = np.empty(most), np.empty(most)
-    kept_linear, kept_precision = np.empty((most, size)), np.empty((most, size, size))
+    room, new_linear, new_precision = workspace(most, components, size)
+    kept = np.empty(most), np.empty((most, size)), np.empty((most, size, size))
+    heavy = np.empty(most)
+    prior = prior_level, prior_linear, prior_precision
     first = 0
     for g in range(ends.size):
         count = 1
-        kept[0], kept_linear[0], kept_precision[0] = 0.0, 0.0, 0.0
+        begin(kept)
         for r in range(first, ends[g]):
-            n = 0
-            for i in range(count):
-                for k in range(components):
-                    if level[r, k] == -np.inf:
-                        continue
-                    new[n] = kept[i] + level[r, k]
-                    new_linear[n] = kept_linear[i] + linear[r, k]
-                    new_precision[n] = kept_precision[i] + precision[r, k]
-                    total[n] = _integral(
-                        new[n] + prior_level,
-                        new_linear[n] + prior_linear,
-                        new_precision[n] + prior_precision,
-                        matrix,
-                        pivots,
-                        vector,
-                    )
-                    n += 1
-            count = _keep(
-                n, new, new_linear, new_precision, kept, total, kept_linear, kept_precision, heavy
+            count = multiply(
+                count,
+                kept,
+                heavy,
+                level[r],
+                linear[r],
+                precision[r],
+                prior,
+                room,
+                new_linear,
+                new_precision,
             )
         first = ends[g]
         result[g] = -np.inf
         for i in range(count):
             result[g] = np.logaddexp(result[g], heavy[i])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _widen(least, linear, precision, new_level, new_linear, new_precision):  # type: ignore[no-untyped-def]
-    """Convolve factors (n,), (n, D), (n, D, D) with Gaussians of precisions `least` (n, D)."""
-    n, size = linear.shape
-    matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
-    for r in range(n):
-        matrix[:] = precision[r]
-        for i in range(size):
-            matrix[i, i] += least[r, i]
-        _factorise(matrix, pivots)
-        # P - P (P + W)^-1 P = W - W (P + W)^-1 W loses digits where W is large: the former
-        for j in range(size):
-            vector[:] = precision[r, j]
-            _solve(matrix, pivots, vector)
-            for i in range(size):
-                for k in range(size):
-                    new_precision[r, i, j] -= precision[r, i, k] * vector[k]
-        vector[:] = linear[r]
-        _solve(matrix, pivots, vector)
-        for i in range(size):
-            ratio = abs(pivots[i]) / least[r, i]
-            new_level[r] += 0.5 * (linear[r, i] * vector[i] - np.log(ratio))
-            for k in range(size):
-                new_linear[r, i] -= precision[r, i, k] * vector[k]
-        for i in range(size):
-            for j in range(i):
-                middle = 0.5 * (new_precision[r, i, j] + new_precision[r, j, i])
-                new_precision[r, i, j] = new_precision[r, j, i] = middle
-
-
-def multiplied(first: Information, second: Information) -> Information:
-    """Multiply mixtures: every component of one with every component of the other.
-
-    Parameters
-    ----------
-    first, second : Information (..., K1) and (..., K2)
-
-    Returns
-    -------
-    Information (..., K1 K2)
-    """
-    level = first.level[..., :, None] + second.level[..., None, :]
-    linear = first.linear[..., :, None, :] + second.linear[..., None, :, :]
-    precision = first.precision[..., :, None, :, :] + second.precision[..., None, :, :, :]
-    lead, size = level.shape[:-2], linear.shape[-1]
-    return Information(
-        level.reshape(*lead, -1),
-        linear.reshape(*lead, -1, size),
-        precision.reshape(*lead, -1, size, size),
-    )
-
-
-def heaviest(factor: Information, level: FloatArray, most: int) -> Information:
-    """Keep the components with the largest `level` (..., K), at most `most`."""
-    if level.shape[-1] <= most:
-        return factor
-    kept = np.argsort(-level, axis=-1, kind="stable")[..., :most]
-    return Information(
-        np.take_along_axis(factor.level, kept, -1),
-        np.take_along_axis(factor.linear, kept[..., None], -2),
-        np.take_along_axis(factor.precision, kept[..., None, None], -3),
-    )

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.information import Information, transformed, widened
+from sasmap.ripples.information import Information, widened
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
 from sasmap.ripples.sampler import log_sum
@@ -331,76 +331,6 @@ def _by_shape(
     return np.asarray(1 - np.clip((share - LEAST_KNOWN) / (MOST_KNOWN - LEAST_KNOWN), 0, 1))
 
 
-def at_height(looks: Looks, shared: Shared, scatter: FloatArray) -> Information:
-    """Likelihood of log f, log A_H, azimuth and the law of the cell.
-
-    Parameters
-    ----------
-    looks : Looks
-    shared : Shared
-    scatter : ndarray (N, 3)
-        Standard deviations of a look about its cell: of log f, log A_H and azimuth.
-
-    Returns
-    -------
-    Information (N, K)
-        Over log f, log A_H, azimuth, n and c; without n and c where the law is fixed.
-    """
-    return with_scatter(without_scatter(looks, shared), shared, scatter)
-
-
-def without_scatter(looks: Looks, shared: Shared) -> Information:
-    """Express looks in A_H through the survey's law and altitudes, without scatter.
-
-    Parameters
-    ----------
-    looks : Looks
-    shared : Shared
-
-    Returns
-    -------
-    Information (N, K)
-        As :func:`at_height`.
-    """
-    level, linear, precision = looks.factor
-    shift = looks.altitude_gain * shared.offset[looks.swath] / looks.altitude
-    constant = np.zeros(linear.shape)
-    constant[:, :, LOG_HEIGHT] = -shift[:, None]
-    if looks.law is None:
-        return transformed(level, linear, precision, constant, None)
-    gain, told = _shape_corrected(looks.law, shared)
-    linear = linear.copy()
-    linear[..., LAW] += told - looks.law.linear
-    about = _law_of_looks(looks.law.precision, told, shared)
-    slopes = contrast_slopes(about, looks.tangent[:, None])
-    constant[:, :, LOG_HEIGHT] += log_contrast(about, looks.tangent[:, None])
-    constant[:, :, LOG_HEIGHT] -= (slopes * about).sum(axis=-1)
-    matrix = np.broadcast_to(np.eye(5), precision.shape).copy()
-    matrix[:, :, LOG_HEIGHT, LAW] = slopes
-    # log contrast and the rest are matrix u + constant
-    return transformed(level + gain, linear, precision, constant, matrix)
-
-
-def with_scatter(factor: Information, shared: Shared, scatter: FloatArray) -> Information:
-    """Widen looks by their scatter about their cell: f, A_H, azimuth and law.
-
-    Parameters
-    ----------
-    factor : Information (N, K)
-    shared : Shared
-    scatter : ndarray (N, 3)
-
-    Returns
-    -------
-    Information (N, K)
-    """
-    wide = np.maximum(scatter, NONE)
-    if factor.linear.shape[-1] == 5:
-        of_look = np.sqrt(shared.of_look) * shared.spread
-        wide = np.concatenate([wide, np.broadcast_to(of_look, (len(wide), 2))], axis=1)
-    return widened(factor, wide[:, None, :])
-
-
 def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:
     """Log evidence (N,) of looks that are alone at their cells, which depends on their law only.
 
@@ -433,14 +363,6 @@ def _shape_corrected(law: LawLikelihood, shared: Shared) -> tuple[FloatArray, Fl
     shift = law.by_shape[:, None, None] * shared.shift
     pulled = np.einsum("nkij,nkj->nki", law.precision, shift)
     return (shift * (law.linear - 0.5 * pulled)).sum(axis=-1), law.linear - pulled
-
-
-def _law_of_looks(precision: FloatArray, linear: FloatArray, shared: Shared) -> FloatArray:
-    """Mean law of each component (N, K, 2) under the survey's."""
-    gain = np.diag(shared.spread**-2.0)
-    return np.asarray(
-        np.linalg.solve(precision + gain, (linear + gain @ shared.law)[..., None])[..., 0]
-    )
 
 
 def law_factor(shared: Shared, with_law: bool) -> Information:

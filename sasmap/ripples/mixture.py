@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from sasmap.numerics.gaussians import Mixture, expectation_maximisation, log_densities
 
@@ -18,9 +19,13 @@ EFFECTIVE = 400.0
 # Rounds of a fit, the gain in mean log likelihood at which it ends, and the least variance of
 # components, over that of all draws.
 ROUNDS, ENOUGH, FLOOR = 80, 1e-6, 1e-4
-# Standard deviations within which quantiles are looked for, steps at most, and the precision over
-# the width of where they are looked for.
-REACH, STEPS, PRECISION = 12.0, 50, 1e-10
+# Standard deviations within which quantiles are looked for, steps at most, and the last of Newton's
+# steps over the width of where they are looked for: what is left is of the order of its square.
+REACH, STEPS, PRECISION = 12.0, 60, 1e-8
+# Quantiles, and that of 0.95 in standard deviations of a Gaussian, from where it is looked for.
+SHARES, TAIL = (0.05, 0.95), 1.645
+# Standard deviations beyond which a Gaussian has no mass in double precision: above, and below.
+CERTAIN, REACH_BELOW = 8.3, 38.5
 # Largest log of a moment: of components that have no weight.
 LARGEST = 200.0
 # A density with less of itself within its bounds lies outside.
@@ -98,56 +103,95 @@ def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: Floa
     Marginal
         Of the parameters, not of their logs.
     """
-    low, high = ((np.reshape(b, (-1, 1)) - mean) / sd for b in bounds)
-    mass = ndtr(high) - ndtr(low)
-    total = (weight * mass).sum(axis=1)
-    inside = total > OUTSIDE
-    total = np.where(inside, total, 1.0)
-    ends = np.clip((weight * mean).sum(axis=1), *bounds)  # all of it lies beyond a bound
-    apart = mean - ends[:, None]
-    one, two = (
-        (weight * np.exp(np.minimum(k * apart + 0.5 * (k * sd) ** 2, LARGEST)) * part).sum(axis=1)
-        / total
-        for k, part in ((k, ndtr(high - k * sd) - ndtr(low - k * sd)) for k in (1, 2))
-    )
-    centre = np.where(inside, one, 1.0) * np.exp(ends)
-    spread = np.sqrt(np.where(inside, np.maximum(two - one**2, 0.0), 0.0)) * np.exp(ends)
-    quantile = [
-        np.where(inside, np.exp(_quantile(weight, mean, sd, low, total, share)), np.exp(ends))
-        for share in (0.05, 0.95)
-    ]
-    return Marginal(centre, spread, *quantile)
+    low, high = (np.ascontiguousarray(np.broadcast_to(b, len(weight)), float) for b in bounds)
+    result = np.empty((4, len(weight)))
+    _summarise(*(np.ascontiguousarray(v) for v in (weight, mean, sd)), low, high, result)
+    return Marginal(*result)
 
 
-def _quantile(
-    weight: FloatArray,
-    mean: FloatArray,
-    sd: FloatArray,
-    low: FloatArray,
-    total: FloatArray,
-    share: float,
-) -> FloatArray:
-    """Quantile of truncated Gaussian mixtures (n,), by Newton's method within halved brackets."""
-    heavy = weight > 0
-    left = np.where(heavy, mean - REACH * sd, np.inf).min(axis=1)
-    right = np.where(heavy, mean + REACH * sd, -np.inf).max(axis=1)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def weighted(weight, values):  # type: ignore[no-untyped-def]
+    """Sum values (n, K) by weight (n, K), one after the other: padding changes no digit."""
+    result = np.zeros(len(weight))
+    for r in range(weight.shape[0]):
+        for k in range(weight.shape[1]):
+            result[r] += weight[r, k] * values[r, k]
+    return result
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _below(z):  # type: ignore[no-untyped-def]
+    """Cumulative probability of a standard Gaussian."""
+    if z > CERTAIN:
+        return 1.0
+    return 0.5 * math.erfc(-z * math.sqrt(0.5)) if z > -REACH_BELOW else 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _summarise(weight, mean, sd, low, high, result):  # type: ignore[no-untyped-def]
+    """Fill in mean, standard deviation and quantiles (4, n)."""
+    for r in range(low.size):
+        heavy = np.flatnonzero(weight[r] > 0)
+        w, m, s = weight[r][heavy], mean[r][heavy], sd[r][heavy]
+        total, middle = 0.0, 0.0
+        before = np.empty(w.size)
+        for k in range(w.size):
+            before[k] = _below((low[r] - m[k]) / s[k])
+            total += w[k] * (_below((high[r] - m[k]) / s[k]) - before[k])
+            middle += w[k] * m[k]
+        middle = min(max(middle, low[r]), high[r])
+        result[:, r] = np.exp(middle)
+        if not total > OUTSIDE:  # all of it lies beyond a bound
+            result[1, r] = 0.0
+            continue
+        one, two, spread = 0.0, 0.0, 0.0
+        for k in range(w.size):
+            apart = m[k] - middle
+            for power in (1, 2):
+                moment = np.exp(min(power * apart + 0.5 * (power * s[k]) ** 2, LARGEST))
+                beyond = _below((low[r] - m[k]) / s[k] - power * s[k])
+                moment *= _below((high[r] - m[k]) / s[k] - power * s[k]) - beyond
+                if power == 1:
+                    one += w[k] * moment / total
+                else:
+                    two += w[k] * moment / total
+            spread += w[k] * (s[k] ** 2 + apart**2)
+        result[0, r] *= one
+        result[1, r] *= math.sqrt(max(two - one**2, 0.0))
+        for q in range(2):
+            start = middle + (2 * q - 1) * TAIL * math.sqrt(spread)
+            goal = SHARES[q] * total
+            result[2 + q, r] = math.exp(_quantile(w, m, s, low[r], before, goal, start))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _quantile(weight, mean, sd, low, before, goal, start):  # type: ignore[no-untyped-def]
+    """Where the mass above `low` reaches `goal`: Newton's method within halved brackets.
+
+    `before` is the mass of each component below `low`, and `start` where to begin.
+    """
+    left, right = np.inf, -np.inf
+    for k in range(weight.size):
+        left, right = min(left, mean[k] - REACH * sd[k]), max(right, mean[k] + REACH * sd[k])
     enough = PRECISION * (right - left)
-    before, middle = ndtr(low), 0.5 * (left + right)
-    rest = np.arange(len(middle))  # those that are not found yet
+    middle = start if left < start < right else 0.5 * (left + right)
     for _ in range(STEPS):
-        part = (middle[rest, None] - mean[rest]) / sd[rest]
-        mass = weight[rest] * (part > low[rest])
-        excess = (mass * (ndtr(part) - before[rest])).sum(axis=1) - share * total[rest]
-        slope = (mass * np.exp(-0.5 * part**2) / sd[rest]).sum(axis=1)
-        left[rest] = np.where(excess < 0, middle[rest], left[rest])
-        right[rest] = np.where(excess < 0, right[rest], middle[rest])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = middle[rest] - excess * np.sqrt(2 * np.pi) / slope
-        good = (step > left[rest]) & (step < right[rest])
-        moved = np.where(good, step, 0.5 * (left[rest] + right[rest]))
-        far = np.abs(moved - middle[rest]) > enough[rest]
-        middle[rest] = moved
-        rest = rest[far]
-        if not rest.size:
+        excess, slope = -goal, 0.0
+        for k in range(weight.size):
+            part = (middle - mean[k]) / sd[k]
+            if middle > low:
+                excess += weight[k] * (_below(part) - before[k])
+                if abs(part) < CERTAIN:
+                    slope += weight[k] * math.exp(-0.5 * part * part) / sd[k]
+        if excess < 0:
+            left = middle
+        else:
+            right = middle
+        moved = middle - excess * math.sqrt(2 * math.pi) / slope if slope > 0 else left
+        if not left < moved < right:
+            moved = 0.5 * (left + right)
+        far = abs(moved - middle) > enough
+        middle = moved
+        if not far:
             break
-    return np.asarray(middle)
+    return middle

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from sasmap.ripples.information import Information, heaviest, log_integrals, products
+from sasmap.ripples.heights import at_height
+from sasmap.ripples.information import Information, products
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
@@ -30,7 +31,6 @@ from sasmap.ripples.looks import (
     LawLikelihood,
     Looks,
     Shared,
-    at_height,
     evidence_of_law,
     law_factor,
 )
@@ -71,6 +71,8 @@ POPULATIONS, WEIGHT_SD, APART = 2, 1.7, 0.8
 # Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share of the
 # cells, in this share of the draws.
 SEPARATION, LEAST_WEIGHT, SURE = 2.0, 0.1, 0.95
+# Evidences of the cells that are kept: bounds memory, and more than the steps of a derivative.
+REMEMBERED = 512
 # Step of numerical derivatives; iterations of the ascent and its largest step, in prior standard
 # deviations; chains and their steps; number of draws that represent the posterior.
 STEP, CLIMB, FARTHEST, CHAINS, STEPS, VALUES = 1e-2, 40, 5.0, 4, 60, 24
@@ -434,21 +436,30 @@ class _Cells:
         nothing = np.zeros(int(looks.swath.max()) + 1)
         whole = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
         any_law = Shared(LAW_MEAN, whole, np.zeros(2), nothing, ODD_SCATTER, expit(SHARE_LOGIT))
+        self._known: dict[bytes, FloatArray] = {}
         self.odd = self._together(any_law) + np.log(ODD)
 
     def evidence(self, shared: Shared) -> FloatArray:
         """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
 
+        The last results are kept: numerical derivatives change one population at a time.
+
         The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey,
         so the steepness of many cells is not independent evidence about the law. A cell may have
         differing passes.
         """
+        key = np.concatenate([np.ravel(v) for v in shared]).tobytes()
+        if key in self._known:
+            return self._known[key]
         every = np.zeros(self.size)
         if self.law is not None:
             every[self.single] = evidence_of_law(self.law, shared)
         if self.multiple.size:
             honest = self._together(shared) + np.log1p(-ODD)
             every[self.multiple] = np.logaddexp(honest, self.odd)
+        if len(self._known) == REMEMBERED:
+            del self._known[next(iter(self._known))]
+        self._known[key] = every
         return every
 
     def _together(self, shared: Shared) -> FloatArray:
@@ -459,25 +470,6 @@ class _Cells:
         factor = at_height(self.looks, shared, scatter)
         prior = law_factor(shared, self.looks.with_law)
         return np.maximum(products(factor, self.ends, prior, MOST_KEPT), LEAST_LEVEL)
-
-
-def settled(total: Information, prior: Information) -> tuple[FloatArray, Information]:
-    """Log evidence of the components of a product of looks; the heaviest are kept.
-
-    Parameters
-    ----------
-    total : Information (cells, K)
-    prior : Information ()
-        Of one component.
-
-    Returns
-    -------
-    level : ndarray (cells, at most MOST_KEPT)
-    total : Information (cells, at most MOST_KEPT)
-    """
-    level = log_integrals(with_prior(total, prior))
-    kept = heaviest(total, level, MOST_KEPT)
-    return heaviest(Information(level, total.linear, total.precision), level, MOST_KEPT).level, kept
 
 
 def with_prior(total: Information, prior: Information) -> Information:

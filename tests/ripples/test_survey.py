@@ -1,5 +1,7 @@
 """What looks share, learned from looks whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,13 +9,23 @@ from scipy import stats
 from sasmap.ripples import RippleSettings
 from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.fusion import fuse_cells, learn_survey
-from sasmap.ripples.information import Information, moments, multiplied, widened
-from sasmap.ripples.looks import LAW, LAW_MEAN, LAW_VARIANCE, Shared, _likelihood, collect
+from sasmap.ripples.heights import without_scatter
+from sasmap.ripples.information import Information, moments, products, widened
+from sasmap.ripples.looks import (
+    LAW,
+    LAW_MEAN,
+    LAW_VARIANCE,
+    Shared,
+    _likelihood,
+    collect,
+    law_factor,
+    steepness_factor,
+)
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import contrast_per_slope
 from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
-from sasmap.ripples.survey import SurveyModel
+from sasmap.ripples.survey import SurveyModel, with_prior
 
 SETTINGS = RippleSettings()
 ALTITUDE = 5.0
@@ -129,9 +141,11 @@ def test_factors_multiply_and_blur_as_gaussians_do():
     np.testing.assert_allclose(spread[0, 0], covariance[0] + np.diag(sd**2), rtol=1e-9)
     log_2pi = 1.5 * np.log(2 * np.pi)
     assert level[0, 0] + log_2pi == pytest.approx(0.0, abs=1e-9)
-    both = moments(multiplied(*factors))
+    looks = Information(*(np.concatenate(v) for v in zip(*factors, strict=True)))
+    nothing = Information(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3, 3)))
+    both = products(looks, np.array([2]), nothing, 1)
     expected = stats.multivariate_normal(mean[0], covariance.sum(axis=0)).logpdf(mean[1])
-    assert both[0][0, 0] + log_2pi == pytest.approx(expected)
+    assert both[0] + log_2pi == pytest.approx(expected)
 
 
 def test_shadow_in_some_cells_tells_the_height_of_the_others():
@@ -243,10 +257,41 @@ def test_a_cell_is_the_same_whatever_cells_are_combined_with_it():
     cells, _ = survey(12, 10, 4, passes=2)
     model = learn_survey(cells, SETTINGS, 1)
     whole = fuse_cells(cells, SETTINGS, model)
+    cells[3] = [replace(s, mixture=((0.5, *s.mixture[0][1:]),) * 2) for s in cells[3]]
+    # to the last digit, with other cells of more components and in another order
     for i in (0, 7):
-        alone = fuse_cells([cells[i]], SETTINGS, model)[0].final
-        np.testing.assert_allclose(alone.mean, whole[i].final.mean, rtol=1e-9)
-        np.testing.assert_allclose(alone.q95, whole[i].final.q95, rtol=1e-9)
+        assert fuse_cells([cells[i]], SETTINGS, model)[0] == whole[i]
+    back = fuse_cells(cells[::-1], SETTINGS, model)[::-1]
+    assert [c.final for c in back[4:]] == [c.final for c in whole[4:]]
+
+
+def test_a_look_in_parts_is_the_look():
+    cells, _ = survey(14, 4, 2, passes=3)
+    parts = [
+        [replace(s, mixture=tuple((w, *s.mixture[0][1:]) for w in (0.6, 0.3, 0.1))) for s in c]
+        for c in cells
+    ]
+    model = learn_survey(cells, SETTINGS, 1)
+    for whole, split in zip(
+        fuse_cells(cells, SETTINGS, model), fuse_cells(parts, SETTINGS, model), strict=True
+    ):
+        assert split.group == whole.group
+        moved = np.subtract(split.final.mean, whole.final.mean) / whole.final.sd
+        assert np.abs(moved).max() < 0.02
+        np.testing.assert_allclose(split.final.sd, whole.final.sd, rtol=0.02)
+
+
+def test_looks_in_height_are_those_in_contrast_under_the_law():
+    cells, _ = survey(15, 3, 1)
+    looks = collect(cells, (MEDIAN, SD))
+    law = np.array([1.7, 0.3])
+    known = Shared(law, np.full(2, 1e-4), np.zeros(2), np.array([0.2]), np.full(3, 1e-9), 0.1)
+    prior = with_prior(law_factor(known, True), steepness_factor(5, (MEDIAN, np.inf)))
+    _, mean, _ = moments(with_prior(without_scatter(looks, known), prior))
+    _, contrast, _ = moments(with_prior(looks.factor, prior))
+    raised = looks.altitude_gain * 0.2 / looks.altitude
+    expected = contrast[:, 0, 1] - log_contrast(law, looks.tangent) + raised
+    np.testing.assert_allclose(mean[:, 0, 1], expected, atol=1e-6)
 
 
 def test_the_same_looks_give_the_same_model():

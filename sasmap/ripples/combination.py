@@ -1,0 +1,230 @@
+"""Products of the looks at each cell, averaged over the posterior of what the survey shares.
+
+For every draw of the shared parameters and each population of laws, looks are expressed in A_H,
+widened by their scatter and multiplied. The loops over cells, draws and components are compiled,
+and go through one cell after the other: a cell's result does not depend on the others.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.heights import of_look, to_height, told_by
+from sasmap.ripples.information import (
+    Information,
+    add,
+    begin,
+    blur,
+    integral,
+    invert,
+    multiply,
+    substitute,
+    workspace,
+)
+from sasmap.ripples.looks import NONE, Looks, law_factor, steepness_factor
+from sasmap.ripples.mixture import weighted
+from sasmap.ripples.survey import MOST_KEPT, SurveyModel, with_prior
+
+FloatArray = NDArray[np.float64]
+
+# Least weight of the components of a cell's estimate: less changes no digit of the products.
+NEGLIGIBLE = 1e-4
+
+
+class _Draws(NamedTuple):
+    """V draws of P populations of laws, for looks over D coordinates.
+
+    Attributes
+    ----------
+    weight : ndarray (V, P)
+    law, gain, shift : ndarray (V, P, 2)
+        Mean of the law, its precision, and its bias from the echo shape.
+    scatter : ndarray (V, P, D)
+        Variance of looks about their cell.
+    offset : ndarray (V, swaths)
+        Of altitude, m.
+    level, linear, precision : ndarray (V, P), (V, P, D), (V, P, D, D)
+        Prior of a cell: of its law and steepness.
+    """
+
+    weight: FloatArray
+    law: FloatArray
+    gain: FloatArray
+    shift: FloatArray
+    scatter: FloatArray
+    offset: FloatArray
+    level: FloatArray
+    linear: FloatArray
+    precision: FloatArray
+
+
+def after_each(
+    looks: Looks, survey: SurveyModel, steepness: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Combine each look with those of the same cell before it.
+
+    Parameters
+    ----------
+    looks : Looks
+        N looks in order of their cells, those at each cell in the order in which they count.
+    survey : SurveyModel
+    steepness : tuple of float
+        Prior of crest to trough over wavelength: median and log standard deviation.
+
+    Returns
+    -------
+    weight : ndarray (N, K)
+        Of the components of the estimate after each look; 0 where there are fewer.
+    mean, covariance : ndarray (N, K, 3), (N, K, 3, 3)
+        Of log f, log A_H and azimuth.
+    """
+    draws = _arrays(survey, looks.with_law, steepness)
+    ends = np.flatnonzero(np.append(np.diff(looks.cell) != 0, True)) + 1
+    n, most = looks.cell.size, draws.weight.size * MOST_KEPT
+    weight, mean = np.zeros((n, most)), np.zeros((n, most, 3))
+    covariance = np.empty((n, most, 3, 3))
+    per_metre = looks.altitude_gain / looks.altitude
+    filled = _combine(
+        ends, looks.swath, per_metre, told_by(looks), draws, MOST_KEPT, weight, mean, covariance
+    )
+    last = int(filled.max())
+    covariance[np.arange(most) >= filled[:, None]] = np.eye(3)
+    weight = weight[:, :last]
+    weight = weight / weighted(weight, np.ones_like(weight))[:, None]
+    return weight, mean[:, :last], covariance[:, :last]
+
+
+def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float]) -> _Draws:
+    """Collect the draws of what a survey shares."""
+    every = [[p.shared for p in draw] for draw in survey.draws]
+
+    def array(values: list[list[FloatArray]]) -> FloatArray:
+        return np.ascontiguousarray(values, float)
+
+    steep = steepness_factor(5 if with_law else 3, steepness)
+    priors = [[with_prior(law_factor(s, with_law), steep) for s in draw] for draw in every]
+    variance = [[np.maximum(s.scatter, NONE) ** 2 for s in draw] for draw in every]
+    scatter = array(variance)
+    if with_law:
+        own = array([[of_look(s) ** 2 for s in draw] for draw in every])
+        scatter = np.concatenate([scatter, own], axis=2)
+    return _Draws(
+        np.array([[p.weight for p in draw] for draw in survey.draws]),
+        array([[s.law for s in draw] for draw in every]),
+        array([[s.spread**-2.0 for s in draw] for draw in every]),
+        array([[s.shift for s in draw] for draw in every]),
+        np.ascontiguousarray(scatter),
+        array([[s.offset for s in draw] for draw in every])[:, 0],
+        *(
+            array([[getattr(p, name)[0] for p in draw] for draw in priors])
+            for name in Information._fields
+        ),
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _combine(ends, swath, per_metre, told, draws, most, weight, mean, covariance):  # type: ignore[no-untyped-def]
+    """Fill in the components after each look; returns how many there are (N,)."""
+    size, populations = told.linear.shape[2], draws.weight.shape[1]
+    looks, first = 1, 0
+    for end in ends:
+        looks, first = max(looks, end - first), end
+    states = (
+        np.zeros((looks, populations), np.int64),
+        np.empty((looks, populations, most)),
+        np.empty((looks, populations, most, size)),
+        np.empty((looks, populations, most, size, size)),
+    )
+    filled = np.zeros(swath.size, np.int64)
+    first = 0
+    for end in ends:
+        for v in range(draws.weight.shape[0]):
+            _products(first, end, swath, per_metre, told, draws, v, most, states)
+            for r in range(first, end):
+                filled[r] = _components(
+                    r - first, states, draws, v, weight[r], mean[r], covariance[r], filled[r]
+                )
+        first = end
+    return filled
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _products(first, end, swath, per_metre, told, draws, v, most, states):  # type: ignore[no-untyped-def]
+    """Multiply the looks of a cell under draw v, for each population; fill in `states`."""
+    components, size = told.linear.shape[1:]
+    room, new_linear, new_precision = workspace(most, components, size)
+    level, linear = np.empty(components), np.empty((components, size))
+    precision, column = np.empty((components, size, size)), np.empty(size)
+    kept = np.empty(most), np.empty((most, size)), np.empty((most, size, size))
+    heavy, variance = np.empty(most), np.empty(size)
+    counts, heavies, linears, precisions = states
+    for p in range(draws.weight.shape[1]):
+        variance[:] = draws.scatter[v, p]
+        if end - first == 1:  # one look has its own f, A_H and azimuth
+            variance[:3] = NONE**2
+        prior = draws.level[v, p], draws.linear[v, p], draws.precision[v, p]
+        law, gain, shift = draws.law[v, p], draws.gain[v, p], draws.shift[v, p]
+        count = 1
+        begin(kept)
+        for r in range(first, end):
+            raised = per_metre[r] * draws.offset[v, swath[r]]
+            for k in range(components):
+                level[k] = told.level[r, k]
+                if level[k] > -np.inf:
+                    level[k] = to_height(
+                        told, r, k, raised, law, gain, shift, linear[k], precision[k]
+                    )
+                    level[k] = blur(level[k], linear[k], precision[k], variance, column)
+            count = multiply(
+                count,
+                kept,
+                heavy,
+                level,
+                linear,
+                precision,
+                prior,
+                room,
+                new_linear,
+                new_precision,
+            )
+            counts[r - first, p] = count
+            heavies[r - first, p, :count] = heavy[:count]
+            linears[r - first, p, :count] = kept[1][:count]
+            precisions[r - first, p, :count] = kept[2][:count]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _components(number, states, draws, v, weight, mean, covariance, filled):  # type: ignore[no-untyped-def]
+    """Add components of draw v after look `number` of a cell, those with weight.
+
+    A cell's law is of either population, by share and evidence. Returns how many are filled in.
+    """
+    counts, heavies, linears, precisions = states
+    size = linears.shape[-1]
+    matrix, pivots = np.empty((size, size)), np.empty(size)
+    vector, column = np.empty(size), np.empty(size)
+    highest, total = -np.inf, 0.0
+    for p in range(counts.shape[1]):
+        for i in range(counts[number, p]):
+            highest = max(highest, heavies[number, p, i] + np.log(draws.weight[v, p]))
+    for p in range(counts.shape[1]):
+        for i in range(counts[number, p]):
+            total += draws.weight[v, p] * np.exp(heavies[number, p, i] - highest)
+    for p in range(counts.shape[1]):
+        for i in range(counts[number, p]):
+            share = draws.weight[v, p] * np.exp(heavies[number, p, i] - highest) / total
+            if not share >= NEGLIGIBLE * len(draws.weight):
+                continue
+            linear, precision = linears[number, p, i], precisions[number, p, i]
+            add(linear, precision, draws.linear[v, p], draws.precision[v, p], vector, matrix)
+            integral(0.0, vector, matrix, pivots)
+            substitute(matrix, pivots, vector)
+            invert(matrix, pivots, column, covariance[filled])
+            weight[filled] = share
+            mean[filled] = vector[:3]
+            filled += 1
+    return filled
