@@ -20,8 +20,11 @@ from sasmap.errors import fault_of
 from sasmap.io.canvas import Canvas
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.run.class_models import ClassModel
+from sasmap.sediments.conserved import LAMBERT, Bed, bed_of, power_of
+from sasmap.sediments.conserved import MARGIN as REACH
+from sasmap.sediments.floor import blocks_in, on_pixels
 from sasmap.sediments.objects import find_objects
-from sasmap.sediments.trends import AmplitudeGrid
+from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
 
 FloatArray = NDArray[np.float64]
@@ -259,7 +262,10 @@ def lay(
         surface.faults.extend(faults)
         if progress is not None:
             progress(done, ground.rows * ground.columns)
-    deque(mapped(lambda p: _take_off(surface, p), surface.blocks(PIECE), workers), 0)
+    found = mapped(lambda p: _take_off(surface, p), surface.blocks(PIECE), workers)
+    beds = [p for p, there in zip(surface.blocks(PIECE), found, strict=True) if there]
+    if beds:
+        _conserve(surface, beds, workers)
     return surface._replace(apart=objects and _set_apart(surface, workers))
 
 
@@ -320,8 +326,8 @@ def _hide(surface: Surface, part: Part) -> None:
     surface.objects[part] = things
 
 
-def _take_off(surface: Surface, part: Part) -> None:
-    """Find ripples in a piece of each look."""
+def _take_off(surface: Surface, part: Part) -> bool:
+    """Find ripples in a piece of each look; say whether there are any."""
     wide, inner = surface.around(part, MARGIN)
     rippled = np.zeros([s.stop - s.start for s in part], bool)
     for look in surface.looks:
@@ -334,6 +340,38 @@ def _take_off(surface: Surface, part: Part) -> None:
             rippled |= waves.rippled
     if rippled.any():
         surface.rippled[part] = rippled
+    return bool(rippled.any())
+
+
+def _conserve(surface: Surface, pieces: list[Part], workers: Workers) -> None:
+    """Give rippled floor in some pieces the level that it has flat, by the law that suits all."""
+
+    def describe(part: Part) -> list[Bed]:
+        wide, inner = surface.around(part, REACH)
+        rippled = surface.rippled[wide] > 0
+        return [
+            bed_of(one.amplitude[wide], one.cotangent[wide], one.profile[wide], rippled).at(
+                *blocks_in(inner)
+            )
+            for one in surface.looks
+        ]
+
+    lattice = [n // BLOCK for n in surface.shape]
+    beds = [Bed.nowhere(*lattice) for _ in surface.looks]
+    for part, found in zip(pieces, mapped(describe, pieces, workers), strict=True):
+        for bed, values in zip(beds, found, strict=True):
+            bed.put(*blocks_in(part), values)
+    power = power_of(beds)
+    if power == LAMBERT:
+        return
+
+    def change(part: Part) -> None:
+        rippled = surface.rippled[part] > 0
+        for look, bed in zip(surface.looks, beds, strict=True):
+            values = on_pixels(bed.change[power][blocks_in(part)], rippled.shape)
+            look.profile[part] = look.profile[part] - np.where(rippled, values, np.float32(0))
+
+    deque(mapped(change, pieces, workers), 0)
 
 
 def _known(amplitude: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -128,6 +128,16 @@ def blocks_in(part: Part) -> Part:
     )
 
 
+def on_pixels(blocks: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Lay blocks on the pixels that they are of; beyond the last whole block, those of the last."""
+    if not blocks.size:
+        return np.zeros(shape, blocks.dtype)
+    index = [
+        np.minimum(np.arange(n) // BLOCK, m - 1) for n, m in zip(shape, blocks.shape, strict=True)
+    ]
+    return np.asarray(blocks[np.ix_(*index)])
+
+
 def blocks_shown(mask: Any, workers: Workers = 1) -> NDArray[np.bool_]:
     """Blocks that are mostly marked (above 0) in a raster whose slices are read."""
     result = np.zeros([n // BLOCK for n in mask.shape], bool)

@@ -17,6 +17,8 @@ Labels = NDArray[np.int64]
 MOST_CLASSES = 8
 # Share of a class's blocks that have none of another class beside them, at least.
 CORE = 0.12
+# Blocks a side over which rippled floor is judged: 112 pixels, one to five wavelengths.
+WAVES = 7
 # Blocks a side at the core of a textured group: texture is described over 48 pixels, of averages
 # and differences that reach farther, so that the rim between two beds is some four blocks wide. Of
 # scenes of many small beds, 7 loses some.
@@ -77,7 +79,11 @@ def grouped(
 
 
 def pruned(
-    labels: Labels, least: int, judged: NDArray[np.bool_] | None = None, across: int = 3
+    labels: Labels,
+    least: int,
+    judged: NDArray[np.bool_] | None = None,
+    across: int = 3,
+    rippled: NDArray[np.bool_] | None = None,
 ) -> Labels:
     """Leave out groups that lie between others alone: blocks that two sediments share.
 
@@ -91,6 +97,9 @@ def pruned(
         Blocks whose neighbours were all looked at. Default all.
     across : int
         Blocks a side that must be of one group at a group's core; odd.
+    rippled : ndarray of bool (block rows, block columns), optional
+        Blocks that are judged with those around them (``WAVES``): the core of a group of such is
+        wider, and what lies beyond the survey is not of it.
 
     Returns
     -------
@@ -100,8 +109,11 @@ def pruned(
     core = {}
     for k in there:
         mine = labels == k
+        bed = rippled is not None and bool(rippled[mine].mean() > 0.5)
+        width = WAVES if bed else across
         # neighbours that are uneven tell nothing
-        inside = binary_erosion(mine | (labels < 0), np.ones((across, across)), border_value=1)
+        whole = mine | (labels < 0)
+        inside = binary_erosion(whole, np.ones((width, width)), border_value=int(not bed))
         inside &= mine
         known = mine if judged is None or not (mine & judged).any() else mine & judged
         core[k] = (inside & known).sum() / known.sum()

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import median_filter, uniform_filter
 
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled, steep
@@ -22,7 +22,7 @@ from sasmap.sediments.classes import Classes, dark_blocks, dark_law, levels, noi
 from sasmap.sediments.description import BlockTexture, gain_of
 from sasmap.sediments.fitting import Law
 from sasmap.sediments.floor import Flat, Part, around, blocks_shown, chosen_tiles, gather, tiles
-from sasmap.sediments.grouping import grouped, pruned, textured_groups
+from sasmap.sediments.grouping import WAVES, grouped, pruned, textured_groups
 from sasmap.sediments.separation import (
     TOLD,
     TOLD_TEXTURED,
@@ -136,6 +136,8 @@ def find_classes(
     blocks, centre = gather(looks, None, workers)
     factor = noise_factor(looks, blocks)
     beds = None if rippled is None else blocks_shown(rippled, workers)
+    if beds is not None and beds.any():
+        blocks = [_over_waves(b, beds) for b in blocks]
     bands = find_bands(_level_ones(blocks, beds), first_trends(blocks)) if count != 1 else None
     bands = None if bands is None or bands.span < SLIGHT else bands
     survey = _Survey(looks, blocks, centre, bands, factor, workers, beds)
@@ -149,6 +151,23 @@ def find_classes(
         if count is not None and len(found.laws) != count:
             found = _found(survey, count, found.bands)
     return _finished(survey, found if count is not None else _without_drift(survey, found))
+
+
+def _over_waves(block: Blocks, beds: Dark) -> Blocks:
+    """Give rippled blocks the level and scatter of their surroundings: crests and troughs differ.
+
+    Medians, so that an edge between sediments stays where it is.
+    """
+    known = block.known > 0
+    mine = beds & known
+    if not mine.any():
+        return block
+
+    def smooth(values: FloatArray) -> FloatArray:
+        filled = np.where(known, values, np.median(values[mine]))
+        return np.where(mine, median_filter(filled, WAVES, mode="nearest"), values)
+
+    return block._replace(mean=smooth(block.mean), variance=smooth(block.variance))
 
 
 def _level_ones(blocks: list[Blocks], beds: Dark | None) -> list[Blocks]:
@@ -175,7 +194,7 @@ def _without_drift(survey: _Survey, found: _Found) -> _Found:
     seen = np.where(weight > 0, found.labels, -1)
     flat = survey.flat(found.trends, found.bands)
     told = TOLD_TEXTURED if found.textured else TOLD
-    labels, laws = united(flat, seen, found.laws, level, survey.factor, told)
+    labels, laws = united(flat, seen, found.laws, level, survey.factor, told, survey.rippled)
     return found._replace(labels=labels, laws=laws, textured=found.textured and len(laws) > 1)
 
 
@@ -201,7 +220,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     none = dark_law(flat, dark, factor)
     # groups that are one sediment first: each would be beside the other everywhere
     labels, _ = merged(flat, labels, count or 1, factor, APART)
-    labels = pruned(labels, count or 1)
+    labels = pruned(labels, count or 1, rippled=survey.rippled)
     unclear = dark if bands is None else dark | steep(bands, blocks)
     unclear = unclear if survey.rippled is None else unclear | survey.rippled
     described, shown = survey.described(labels, trends, bands, unclear)

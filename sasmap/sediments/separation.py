@@ -23,6 +23,10 @@ TOLD_TEXTURED = 0.2
 # Share of the classes' difference below which there is no edge: simulated edges have 0.93 and more,
 # wavy ones of recorded snippets 0.72 and 0.89, drifts 0.2 to 0.7.
 SHARP = 0.5
+# Log amplitude (1.7 dB) that relief may make of a bed's level, as its law is not known: 0.16 is
+# left of simulated ripples under a law with a peak; and by how much the rippled shares of two
+# classes differ if it is that which parts them.
+RELIEF, ONE_SIDED = 0.2, 0.8
 # Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
 WITHIN = 0.7
 
@@ -80,10 +84,12 @@ def united(
     level: FloatArray,
     factor: float,
     told: float,
+    rippled: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.int64], list[Law]]:
     """Unite classes that differ in level but change into each other without an edge.
 
-    A floor whose level drifts a little is one sediment; a boundary is where it jumps.
+    A floor whose level drifts a little is one sediment; a boundary is where it jumps. Rippled floor
+    and flat floor that differ by no more than what relief makes are one sediment as well.
 
     Parameters
     ----------
@@ -97,6 +103,7 @@ def united(
         Pixels to an independent sample.
     told : float
         Log amplitude by which levels must differ to tell whether there is an edge.
+    rippled : ndarray of bool (block rows, block columns), optional
 
     Returns
     -------
@@ -106,7 +113,7 @@ def united(
     while len(laws) > 1:
         each = range(len(laws))
         softest, i, j = min(
-            (_sharpness(labels, level, (i, j), told), i, j) for i in each for j in range(i)
+            (_sharpness(labels, level, (i, j), told, rippled), i, j) for i in each for j in range(i)
         )
         if softest > SHARP:
             break
@@ -118,11 +125,15 @@ def united(
 
 
 def _sharpness(
-    labels: NDArray[np.int64], level: FloatArray, pair: tuple[int, int], told: float
+    labels: NDArray[np.int64],
+    level: FloatArray,
+    pair: tuple[int, int],
+    told: float,
+    rippled: NDArray[np.bool_] | None,
 ) -> float:
     """Difference of two classes' levels across their boundary, of that of the classes as such.
 
-    1 where it cannot be told.
+    1 where it cannot be told; 0 where it is as little as relief makes and one alone is rippled.
     """
     i, j = pair
     whole = float(np.median(level[labels == i]) - np.median(level[labels == j]))
@@ -135,7 +146,13 @@ def _sharpness(
         jumps.append(step[(near[:-LAG] == i) & (near[LAG:] == j)])
         jumps.append(-step[(near[:-LAG] == j) & (near[LAG:] == i)])
     every = np.concatenate(jumps)
-    return float(np.median(every)) / whole if every.size >= ENOUGH else 1.0
+    if every.size < ENOUGH:
+        return 1.0
+    if rippled is not None and abs(whole) < RELIEF:
+        shares = [float(rippled[labels == k].mean()) for k in pair]
+        if abs(shares[0] - shares[1]) > ONE_SIDED:
+            return 0.0
+    return float(np.median(every)) / whole
 
 
 def within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:

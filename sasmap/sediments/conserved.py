@@ -1,0 +1,203 @@
+"""What of a rippled bed's amplitude its relief leaves unchanged, by the scattering law.
+
+Under Lambert's law amplitude goes with the sine of the local grazing angle, and so with the area
+that a facet shows: the mean over a wavelength is that of flat floor, shadow or not. Where amplitude
+goes with a power m of the sine, it is the mean of its power 1/m that is conserved: of m below 1
+bright facets tell more, in the limit the brightest alone (floor as bright at any angle but where it
+lies in shadow), of m above 1 they tell less. By the wrong m a bed's level changes with the depth of
+its shadow: from near to far range, and at its edge. By the right one blocks of a bed, and of the
+same floor without ripples beside it, agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from sasmap.sediments.trends import BLOCK, log_cotangent
+
+FloatArray = NDArray[np.float64]
+
+# Powers of the sine that are tried. Amplitude of sand goes with 0.5 to 2 of it over most angles
+# (APL-UW TR 9407); nearly 0 is floor that is alike at all angles.
+POWERS = (0.1, 0.25, 0.35, 0.5, 0.7, 1.0, 1.35, 1.8, 2.5)
+LAMBERT = POWERS.index(1.0)
+# Pixels apart that are looked at, those over which powers are averaged (standard deviation: half of
+# the longest wave that is taken off), and those around a place that decide.
+STEP, AVERAGED, MARGIN = 4, 64, 256
+# Blocks apart of pairs that tell the power: nearer ones differ by their place on a ripple; pairs of
+# one direction and distance, at most; and pairs between which corrections differ by so much (log
+# amplitude) that there must be.
+LAGS, PAIRS, DIFFER, FEWEST = (4, 8, 16), 20_000, 0.03, 200
+# Share of blocks that must be free of ripples. Within one bed that fills a survey power and gain by
+# range are the same, and that gain is taken off anyway.
+LEVEL = 0.1
+# Share of the cost under Lambert's law that another must not exceed to be preferred: the right one
+# of simulated beds under a Gaussian law has 0.92 to 0.99, beside flat floor; of Lambert's, 0.9999.
+BETTER = 0.998
+ROUNDS = 10
+
+
+class Bed(NamedTuple):
+    """Blocks of a look.
+
+    Attributes
+    ----------
+    level : ndarray (block rows, block columns)
+        Mean log amplitude, ripples taken off; NaN where there is none.
+    place : ndarray (block rows, block columns)
+        Log cotangent of the grazing angle.
+    change : ndarray (powers, block rows, block columns)
+        What the level of rippled floor changes by under other powers than Lambert's.
+    share : ndarray (block rows, block columns)
+        That is rippled.
+    """
+
+    level: FloatArray
+    place: FloatArray
+    change: FloatArray
+    share: FloatArray
+
+    @classmethod
+    def nowhere(cls, rows: int, columns: int) -> Bed:
+        """Blocks of which nothing is known."""
+        nothing, change = (
+            np.zeros((rows, columns)),
+            np.zeros((len(POWERS), rows, columns)),
+        )
+        return cls(np.full((rows, columns), np.nan), nothing, change, nothing.copy())
+
+    def at(self, rows: slice, columns: slice) -> Bed:
+        """Return some of the blocks."""
+        return Bed(*(v[..., rows, columns] for v in self))
+
+    def put(self, rows: slice, columns: slice, part: Bed) -> None:
+        """Fill in some of the blocks."""
+        pairs: Iterable[tuple[FloatArray, FloatArray]] = zip(self, part, strict=True)
+        for target, values in pairs:
+            target[..., rows, columns] = values
+
+
+def bed_of(
+    amplitude: NDArray[np.floating],
+    cotangent: NDArray[np.floating],
+    profile: NDArray[np.floating],
+    rippled: NDArray[np.bool_],
+) -> Bed:
+    """Describe the whole blocks of an image.
+
+    Parameters
+    ----------
+    amplitude : ndarray (rows, columns)
+        As recorded; not above 0, or NaN, where there is none.
+    cotangent : ndarray (rows, columns)
+        Of the grazing angle.
+    profile : ndarray (rows, columns)
+        Log of what ripples do to the amplitude, whose mean is then 1; 0 where there are none.
+    rippled : ndarray of bool (rows, columns)
+
+    Returns
+    -------
+    Bed
+    """
+    rows, columns = (n // BLOCK * BLOCK for n in amplitude.shape)
+    some = slice(STEP // 2, rows, STEP), slice(STEP // 2, columns, STEP)
+    values, logs = np.asarray(amplitude[some], float), np.asarray(profile[some], np.float32)
+    known = values > 0
+    level = np.log(np.where(known, values, 1.0)) - logs.astype(float)
+    total = _blocks(known)
+    mean = _blocks(np.where(known, level, 0.0)) / np.maximum(total, 1)
+    place = log_cotangent(np.nan_to_num(np.asarray(cotangent[some], float), nan=1.0))
+    change = np.zeros((len(POWERS), *total.shape))
+    there = np.asarray(rippled[some], bool)
+    if there.any():
+        change = _changes(logs, there)
+    side = (BLOCK // STEP) ** 2
+    level = np.asarray(np.where(total >= 0.5 * side, mean, np.nan), np.float64)
+    return Bed(level, _blocks(place) / side, change, _blocks(there) / side)
+
+
+def _changes(logs: NDArray[np.float32], there: NDArray[np.bool_]) -> FloatArray:
+    """Find what power means are over the plain one, log amplitude, by blocks."""
+    width = AVERAGED / STEP
+    share = np.maximum(gaussian_filter(there.astype(np.float32), width, mode="nearest"), 1e-3)
+    found = []
+    for power in POWERS:
+        raised = np.where(there, np.exp(logs / np.float32(power)), np.float32(0))
+        mean = gaussian_filter(raised, width, mode="nearest") / share
+        found.append(power * np.log(np.maximum(mean, np.float32(1e-20))))
+    many = np.maximum(_blocks(there), 1)
+    parts = [_blocks(np.where(there, v - found[LAMBERT], 0.0)) / many for v in found]
+    return np.stack(parts)
+
+
+def _blocks(values: NDArray[Any]) -> FloatArray:
+    side = BLOCK // STEP
+    rows, columns = (n // side for n in values.shape)
+    parts = values.reshape(rows, side, columns, side)
+    return np.asarray(parts.sum(axis=(1, 3), dtype=float))
+
+
+def power_of(beds: Sequence[Bed]) -> int:
+    """Find the power under which near blocks of all looks agree best.
+
+    Parameters
+    ----------
+    beds : sequence of Bed
+        Of each look.
+
+    Returns
+    -------
+    int
+        Place in ``POWERS``: Lambert's where no other is surely better.
+    """
+    known = np.concatenate([np.isfinite(bed.level).ravel() for bed in beds])
+    flat = np.concatenate([bed.share.ravel() == 0 for bed in beds])
+    if flat[known].sum() < LEVEL * known.sum():
+        return LAMBERT
+    pairs = [_pairs(bed) for bed in beds]
+    apart = sum(int((np.ptp(p[1], axis=0) > DIFFER).sum()) for p in pairs)
+    if apart < FEWEST:
+        return LAMBERT
+    cost = np.array([sum(_cost(p, k) for p in pairs) for k in range(len(POWERS))])
+    best = int(np.argmin(cost))
+    return best if cost[best] < BETTER * cost[LAMBERT] else LAMBERT
+
+
+def _pairs(bed: Bed) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Subtract near blocks: levels (n,), changes (powers, n), places and their squares (n, 2)."""
+    level, change, step = [], [], []
+    for axis in (0, 1):
+        v, p = np.moveaxis(bed.level, axis, 0), np.moveaxis(bed.place, axis, 0)
+        c = np.moveaxis(bed.change * bed.share, axis + 1, 1)
+        for lag in LAGS:
+            both = np.flatnonzero(np.isfinite(v[lag:]) & np.isfinite(v[:-lag]))
+            both = both[:: max(both.size // PAIRS, 1) | 1]
+            level.append((v[lag:] - v[:-lag]).ravel()[both])
+            away = (c[:, lag:] - c[:, :-lag]).reshape(len(c), -1)
+            change.append(away[:, both])
+            linear, square = (p[lag:] - p[:-lag]), (p[lag:] ** 2 - p[:-lag] ** 2)
+            step.append(np.column_stack([linear.ravel()[both], square.ravel()[both]]))
+    return np.concatenate(level), np.concatenate(change, axis=1), np.concatenate(step)
+
+
+def _cost(pairs: tuple[FloatArray, FloatArray, FloatArray], power: int) -> float:
+    """Robust misfit (Geman-McClure) of a power, and the trend over range that suits it best."""
+    level, change, step = pairs
+    if not level.size:
+        return 0.0
+    # one scale for all powers
+    scale = 1.5 * float(np.median(np.abs(level))) + 1e-9
+    wanted = level + change[power]
+    trend: FloatArray = np.zeros(2)
+    for _ in range(ROUNDS):
+        weight = 1 / (1 + ((wanted - step @ trend) / scale) ** 2) ** 2
+        heavy = step * weight[:, None]
+        matrix = heavy.T @ step + np.diag([1e-4, 1e-3])
+        trend = np.asarray(np.linalg.solve(matrix, heavy.T @ wanted), np.float64)
+    square = ((wanted - step @ trend) / scale) ** 2
+    return float((square / (1 + square)).sum())
