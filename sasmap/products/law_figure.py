@@ -81,23 +81,21 @@ def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
 
 def law_caption(survey: SurveyModel) -> str:
     """Describe the estimated law, or say that the data do not constrain it."""
-    quantiles = survey.quantiles()
-    text = "Scattering law sin(θ)^n exp(-c (θ - 90°)²) of the survey: " + _numbers(quantiles)
     if survey.apart:
         laws = [
             f"law {i} ({100 * np.mean([p.weight for p in draws]):.0f} % of the cells): "
             + _numbers(quantiles_of([p.shared for p in draws]))
             for i, draws in enumerate(survey.found, 1)
         ]
-        text = (
+        return (
             "Two scattering laws sin(θ)^n exp(-c (θ - 90°)²) are told apart; "
             + "; ".join(laws)
             + ". Where the image of a cell does not tell which law is its own, the interval of its "
             "height covers what follows from both."
         )
-        return text
+    quantiles = survey.quantiles()
     n_low, n_high = quantiles["law"][0][0], quantiles["law"][2][0]
-    text += "."
+    text = f"Scattering law sin(θ)^n exp(-c (θ - 90°)²) of the survey: {_numbers(quantiles)}."
     low, shift, high = (float(q[0]) for q in quantiles["shift"])
     if low * high > 0 and abs(shift) > BENT:
         text += (

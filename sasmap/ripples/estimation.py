@@ -289,8 +289,8 @@ def _labelled(
     told = float((offset - slope).mean()) if fit.phase.rigid else 0.0
     # of crests looked at square-on every row shows the same pixels: that error does not average out
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
-    error = np.hypot(sd[0], float(offset.std()) / np.sqrt(rows))
-    along = fit.geometry.along + told + slope + error * rng.standard_normal(shape)
+    tilt = np.hypot(sd[0], float(offset.std()) / np.sqrt(rows))
+    along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
     if not fit.phase.rigid:
         cycles = cycles + lag

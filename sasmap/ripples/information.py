@@ -79,19 +79,6 @@ def moments(factor: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
     return level, mean, covariance
 
 
-def log_integrals(factor: Information) -> FloatArray:
-    """Log of the integral of each component (...); minus infinity where it has none."""
-    size = factor.linear.shape[-1]
-    result = np.empty(factor.level.shape)
-    _integrate(
-        np.ascontiguousarray(factor.level).reshape(-1),
-        np.ascontiguousarray(factor.linear).reshape(-1, size),
-        np.ascontiguousarray(factor.precision).reshape(-1, size, size),
-        result.reshape(-1),
-    )
-    return result
-
-
 def products(
     factor: Information, ends: NDArray[np.int64], prior: Information, most: int
 ) -> FloatArray:
@@ -211,17 +198,6 @@ def _widen(variance, level, linear, precision):  # type: ignore[no-untyped-def]
     column = np.empty(linear.shape[1])
     for r in range(level.size):
         level[r] = blur(level[r], linear[r], precision[r], variance[r], column)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _integrate(level, linear, precision, result):  # type: ignore[no-untyped-def]
-    """Fill in log integrals (n,) of factors (n,), (n, D), (n, D, D)."""
-    n, size = linear.shape
-    matrix, pivots, vector = np.empty((size, size)), np.empty(size), np.empty(size)
-    for r in range(n):
-        matrix[:] = precision[r]
-        vector[:] = linear[r]
-        result[r] = integral(level[r], vector, matrix, pivots)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
