@@ -604,19 +604,19 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def pulse_at(twice, place):  # type: ignore[no-untyped-def]
-    """Pulse between bins at a place in bins, from one below 0 to twice the bins' number."""
-    bins = twice.size // 2 - 1
-    place += bins if place < 0.0 else 0.0
+def pulse_at(pulse, place):  # type: ignore[no-untyped-def]
+    """Pulse between bins at any place in bins; `pulse` ends with its first two bins again."""
+    bins = pulse.size - 2
+    place -= bins * np.floor(place / bins)  # just below 0 rounds up to `bins` itself
     low = int(place)
-    return twice[low] + (place - low) * (twice[low + 1] - twice[low])
+    return pulse[low] + (place - low) * (pulse[low + 1] - pulse[low])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_means(data, twice, shifts, wave_offset, means):  # type: ignore[no-untyped-def]
+def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-untyped-def]
     """Fill the pulse that each bin shows, at its pixels' phase and between two blocks at its range.
 
-    `twice` holds each block's pulse twice over, `shifts` its shift in bins, 0 to the bins' number.
+    `closed` holds each block's pulse and its first two bins again, `shifts` its shift in bins.
     """
     blocks, bins = means.shape
     reach = data.ground_range
@@ -625,7 +625,7 @@ def fill_means(data, twice, shifts, wave_offset, means):  # type: ignore[no-unty
             off = data.range_offset[b, i]
             # from the middle of the first bin
             x = i + bins * (data.phase_offset[b, i] + wave_offset * off)
-            here = pulse_at(twice[b], x + shifts[b])
+            here = pulse_at(closed[b], x + shifts[b])
             means[b, i] = here
             other = b + 1 if off > 0.0 else b - 1
             if off == 0.0 or blocks == 1:
@@ -634,7 +634,7 @@ def fill_means(data, twice, shifts, wave_offset, means):  # type: ignore[no-unty
                 other = 2 * b - other
             share = off / (reach[other] - reach[b])
             means[b, i] = max(
-                here + share * (pulse_at(twice[other], x + shifts[other]) - here), 0.0
+                here + share * (pulse_at(closed[other], x + shifts[other]) - here), 0.0
             )
 
 
@@ -650,16 +650,15 @@ def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-unty
     if geometry.follows_image:
         fill_lags(pulses, lags)
     floors, shifts = np.empty(blocks), np.empty(blocks)
-    twice = np.empty((blocks, 2 * bins + 2))
+    closed = np.empty((blocks, bins + 2))
     for b in range(blocks):
         shift = (ripple.phase + (lags[b] if geometry.follows_image else 0.0)) / (2.0 * np.pi)
         shift += ripple.wave_offset * data.place[b]
         shifts[b] = bins * (shift - np.floor(shift))
-        twice[b, :bins], twice[b, bins : 2 * bins] = pulses[b], pulses[b]
-        twice[b, 2 * bins :] = pulses[b, :2]
+        closed[b, :bins], closed[b, bins:] = pulses[b], pulses[b, :2]
         ratio = data.ground_range[b] / geometry.range_middle
         floors[b] = ripple.noise * ratio**ripple.noise_slope / data.trend[b]
-    fill_means(data, twice, shifts, ripple.wave_offset, means)
+    fill_means(data, closed, shifts, ripple.wave_offset, means)
     value, first = 0.0, 0
     for last in range(1, blocks + 1):
         if last < blocks and data.group[last] == data.group[first]:
@@ -750,20 +749,21 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
         step = size / max(geometry.range_middle, 1.0) if i == 0 else size
         beside = z.copy()
         beside[i] = z[i] - step
-        before = log_prior(beside, parameters_at(beside, geometry), geometry)
+        below = parameters_at(beside, geometry)
+        before = log_prior(beside, below, geometry)
         beside[i] = z[i] + step
         ripple = parameters_at(beside, geometry)
         after = log_prior(beside, ripple, geometry)
-        prior[k] = 0.0
+        prior[k], slopes[k] = 0.0, 0.0
         if after > -np.inf and before > -np.inf:
             prior[k, 0] = (after - before) / (2.0 * step)
             prior[k, 1] = max((2.0 * known - after - before) / step**2, 0.0)
+        elif before > -np.inf:
+            ripple, step = below, -step
+        elif not after > -np.inf:  # beyond the prior a ripple may be none that can be rendered
+            continue
         fill_expected(ripple, data, geometry, moved, gains)
-        n = 0
-        for b in range(means.shape[0]):
-            for j in range(means.shape[1]):
-                slopes[k, n] = np.log(moved[b, j] / means[b, j]) / step
-                n += 1
+        slopes[k] = np.log(moved / means).ravel() / step
 
 
 def named_parameters(points: FloatArray, geometry: Geometry) -> dict[str, FloatArray]:

@@ -20,6 +20,15 @@ def test_finite_estimate_or_the_right_code(name):
     assert EXTREMES["finite"](posterior)
 
 
+@pytest.mark.parametrize(
+    "name", ["prior 100 sd above its bounds", "prior of f 100 sd below its bounds"]
+)
+def test_where_prior_and_image_disagree_the_draws_are_the_same_again(name):
+    """The search goes far from what the image shows, where a read beyond an array would differ."""
+    once, again = (EXTREMES["outcome"](CASES[name]) for _ in range(2))
+    assert once.draws.identical(again.draws)
+
+
 def test_a_glaring_pixel_widens_the_interval_and_does_no_more():
     clip = CASES["one pixel of 1e6 times the rest"][0]
     bright = estimate(clip, RippleSettings(scattering="zare-cobb"), rng=1)  # what simulated it

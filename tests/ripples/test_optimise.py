@@ -155,6 +155,19 @@ def test_gradient_agrees_with_finite_differences():
     assert np.linalg.eigvalsh(information).min() > 0
 
 
+def test_slopes_at_the_edge_of_the_prior_are_those_within():
+    truth, data, where = scene(0.05, ranges=(8.0, 14.0))
+    z = point_at(truth, where)
+    free = free_coordinates(where)
+    k = list(free).index(2)
+    _, within = _slope(z, data, where, free)
+    for edge in ({"height_most": 0.0500001}, {"height_least": 0.0499999}):
+        _, at_edge = _slope(z, data, where._replace(**edge), free)
+        assert at_edge[k, k] == pytest.approx(within[k, k], rel=0.05)
+    _, beyond = _slope(z, data, where._replace(height_most=0.04), free)
+    assert beyond[k, k] == pytest.approx(0, abs=1e-5)  # a ripple there may be none at all
+
+
 def test_gradient_with_errors_of_the_model():
     truth, data, where = scene(0.05, ranges=(8.0, 14.0))
     rng = np.random.default_rng(3)

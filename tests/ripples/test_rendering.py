@@ -21,6 +21,7 @@ from sasmap.ripples.rendering import (
     fill_profile,
     fill_published,
     log_posterior,
+    pulse_at,
 )
 from sasmap.ripples.rendering import NODES as LAW_NODES
 from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
@@ -145,6 +146,14 @@ def test_pulse_is_that_of_many_facets_traced_one_by_one(shape, height, distance,
         expected *= np.exp(-2 * (np.pi * k * blur) ** 2)
         seen = harmonic(pulse, k) * np.sinc(k / pulse.size) ** 2  # as bins are interpolated
         assert abs(seen - expected) < 0.008
+
+
+@pytest.mark.parametrize("place", [-1e-18, -0.25, 3.5, 7.0, 7.75, 16.0, 23.999, 1e6 + 0.5, -900.1])
+def test_pulse_repeats_at_any_place(place):
+    pulse = np.array([3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0])
+    closed = np.append(pulse, pulse[:2])
+    expected = np.interp(place, np.arange(8), pulse, period=8)
+    assert pulse_at(closed, place) == pytest.approx(expected, rel=1e-9)
 
 
 def test_pulses_have_a_mean_of_one_and_blur_takes_harmonics():
