@@ -99,8 +99,6 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         height_sd=np.inf,
         height_least=0.0,
         height_most=0.5,
-        frequency_mean=0.0,
-        frequency_sd=np.inf,
         steepness_middle=prior.steepness[0],
         steepness_sd=prior.steepness[1],
     )

@@ -145,6 +145,7 @@ def _default(
     other = second_system(found.waves, fit.phase.wave)
     points, acceptance, done = _sampled(fit, settings, rng)
     draws = _labelled(points, fit, image, _crossing(wave, other), rng)
+    draws["frequency"].values = prior.weigh_frequency(draws["frequency"].values)
     image_of = modelled(clip, image, fit, points) if settings.keep_model else None
     extent = ripple_extent(image, fit.phase.wave)
     return Posterior(

@@ -174,7 +174,6 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     slope = min(2 * np.pi * float(np.hypot(along, across)) * prior.bounds[1][1], 1.0)
     if PEAKED_SLOPE * slope < float((data.altitude / data.ground_range).min()):
         rule = 0
-    (f_mean, h_mean), (f_sd, h_sd) = prior.mean, prior.sd
     return Geometry(
         along=along,
         across=across,
@@ -189,12 +188,10 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         law_error=np.zeros(LAW_KNOTS.size),
         third_harmonic=np.zeros(2),
         fixed=fixed,
-        height_mean=h_mean,
-        height_sd=h_sd,
+        height_mean=prior.mean[1],
+        height_sd=prior.sd[1],
         height_least=prior.bounds[1][0],
         height_most=prior.bounds[1][1],
-        frequency_mean=f_mean,
-        frequency_sd=f_sd,
         steepness_middle=prior.steepness[0],
         steepness_sd=prior.steepness[1],
     )

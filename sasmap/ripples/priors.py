@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 # Crest to trough over wavelength of natural ripples: 0.03 to 0.2, typically about 0.1 (vortex
 # ripples 0.1 to 0.2, worn ones less). Median and standard deviation of the log.
@@ -38,6 +39,29 @@ class Prior:
         """Return the prior of natural ripples, flat within the bounds but for their steepness."""
         middle = (sum(frequency) / 2, sum(height) / 2)
         return cls(middle, (np.inf, np.inf), (frequency, height), NATURAL_STEEPNESS)
+
+    def weigh_frequency(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return draws of f, given without a prior, as they are under this one (ZC 8).
+
+        What the image tells of f is the phase of its crests, nearly a Gaussian that does not depend
+        on the height: the product with the prior's is one again.
+
+        Parameters
+        ----------
+        draws : ndarray
+            Of f, cycles/m.
+
+        Returns
+        -------
+        ndarray
+            The same draws, moved and drawn together.
+        """
+        if np.isinf(self.sd[0]):
+            return draws
+        mean, variance = float(draws.mean()), float(draws.var())
+        kept = self.sd[0] ** 2 / (self.sd[0] ** 2 + variance)
+        middle = self.mean[0] + kept * (mean - self.mean[0])
+        return np.asarray(middle + np.sqrt(kept) * (draws - mean))
 
     @classmethod
     def flat(cls, frequency: tuple[float, float], height: tuple[float, float]) -> Self:

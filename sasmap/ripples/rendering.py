@@ -173,8 +173,6 @@ class Geometry(NamedTuple):
         Exponent, concentration, peakedness and asymmetry where not estimated; NaN where they are.
     height_mean, height_sd, height_least, height_most : float
         Truncated Gaussian prior of A_H (ZC 7 and 9), m.
-    frequency_mean, frequency_sd : float
-        Gaussian prior of f (ZC 8), cycles/m.
     steepness_middle, steepness_sd : float
         Log-normal prior of crest to trough over wavelength: its median and the standard deviation
         of its log; infinite for none.
@@ -197,8 +195,6 @@ class Geometry(NamedTuple):
     height_sd: float
     height_least: float
     height_most: float
-    frequency_mean: float
-    frequency_sd: float
     steepness_middle: float
     steepness_sd: float
 
@@ -278,7 +274,6 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
         return -np.inf
     value = np.log(height)  # of the change from A_H to the log of contrast
     value -= 0.5 * ((height - geometry.height_mean) / geometry.height_sd) ** 2
-    value -= 0.5 * ((frequency - geometry.frequency_mean) / geometry.frequency_sd) ** 2
     if geometry.steepness_sd < np.inf:
         ratio = np.log(2.0 * height * frequency / geometry.steepness_middle)
         value -= np.log(height) + 0.5 * (ratio / geometry.steepness_sd) ** 2

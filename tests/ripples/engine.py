@@ -51,8 +51,6 @@ def geometry(along, ground_range, altitude, **changes):
         height_sd=np.inf,
         height_least=0.0,
         height_most=0.5,
-        frequency_mean=2.5,
-        frequency_sd=np.inf,
         steepness_middle=prior.steepness[0],
         steepness_sd=prior.steepness[1],
     )

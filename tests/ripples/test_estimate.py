@@ -278,6 +278,7 @@ def test_a_prior_far_narrower_than_the_data_decides():
     prior = Prior((0.622, 0.08), (narrow, np.inf), ((0.05, 5), (0, 0.5)))
     posterior = estimate(made.clip, DEFAULT, rng=1, prior=prior)
     assert abs(float(posterior.mean.frequency) - 0.622) < 3 * narrow
+    assert abs(float(posterior.sd.frequency) / narrow - 1) < 0.05
 
 
 def test_bounds_of_height_hold():
