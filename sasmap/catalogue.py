@@ -1,9 +1,8 @@
 """The catalogue of products: every file that a run writes, described once.
 
 File names, band descriptions, styles, the QGIS project, the report, the STAC item and
-docs/products.md are made from it. A new product with one number per cell takes an entry here and a
-writer
-in ``sasmap/products/cell_values.py``.
+docs/products.md are made from it. A new product with numbers of each cell takes an entry here and a
+line in ``sasmap/products/cell_values.py``.
 """
 
 from __future__ import annotations

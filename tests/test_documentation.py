@@ -12,6 +12,7 @@ import pytest
 
 from sasmap.products.reference import catalogue_reference
 from sasmap.settings.reference import survey_reference
+from sasmap.simulate.reference import scene_reference
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
@@ -32,6 +33,10 @@ def test_examples_of_docstrings(name, monkeypatch):
 
 def test_reference_of_keys_is_that_of_the_model():
     assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == survey_reference()
+
+
+def test_reference_of_a_scene_is_that_of_the_model():
+    assert (ROOT / "docs" / "scene.md").read_text(encoding="utf-8") == scene_reference()
 
 
 def test_page_of_products_is_that_of_the_catalogue():

@@ -8,21 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.catalogue import CATALOGUE, Product
 from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.summary import Summary
 
 STATISTICS = ("mean", "sd", "q05", "q95")
-# Products that hold a quantity with its statistics: file and name of the attribute.
-QUANTITIES = {
-    "ripple_wavelength.tif": "wavelength",
-    "ripple_crest_to_trough.tif": "crest_to_trough",
-    "ripple_steepness.tif": "steepness",
-    "ripple_frequency.tif": "frequency",
-    "ripple_height.tif": "height",
-}
-
 # Finest step of a label on a map, m.
 MILLIMETRE = 1e-3
 
@@ -52,6 +44,26 @@ class CellResult(NamedTuple):
         return list(dict.fromkeys(self.passes[k] for k in self.fused.group))
 
 
+def _wavelength(estimate: CellEstimate) -> tuple[float, ...]:
+    # falls with f: the quantiles change places
+    ends = (1 / f if f > 0 else float("nan") for f in (estimate.q95[0], estimate.q05[0]))
+    return (*estimate.derived.wavelength, *ends)
+
+
+def _sampled(estimate: CellEstimate, i: int, factor: float = 1.0) -> tuple[float, ...]:
+    return tuple(factor * getattr(estimate, name)[i] for name in STATISTICS)
+
+
+# Mean, standard deviation, 5 and 95 % quantiles of what ripples are described by.
+QUANTITIES: dict[str, Callable[[CellEstimate], tuple[float, ...]]] = {
+    "wavelength": _wavelength,
+    "crest_to_trough": lambda estimate: _sampled(estimate, 1, 2.0),
+    "steepness": lambda estimate: tuple(estimate.derived.steepness),
+    "frequency": lambda estimate: _sampled(estimate, 0),
+    "height": lambda estimate: _sampled(estimate, 1),
+}
+
+
 def statistics(estimate: CellEstimate, quantity: str) -> tuple[float, ...]:
     """Mean, standard deviation, 5 and 95 % quantiles of a quantity.
 
@@ -65,15 +77,13 @@ def statistics(estimate: CellEstimate, quantity: str) -> tuple[float, ...]:
     Returns
     -------
     tuple of float
+
+    Raises
+    ------
+    KeyError
+        If there is no such quantity.
     """
-    if quantity == "steepness":
-        return tuple(estimate.derived.steepness)
-    if quantity == "wavelength":  # falls with f: the quantiles change places
-        ends = (1 / f if f > 0 else float("nan") for f in (estimate.q95[0], estimate.q05[0]))
-        return (*estimate.derived.wavelength, *ends)
-    i = 0 if quantity == "frequency" else 1
-    factor = 2.0 if quantity == "crest_to_trough" else 1.0
-    return tuple(factor * getattr(estimate, name)[i] for name in STATISTICS)
+    return QUANTITIES[quantity](estimate)
 
 
 def cell_probability(summaries: Sequence[Summary | None], fused: FusedCell) -> float:
@@ -84,11 +94,11 @@ def cell_probability(summaries: Sequence[Summary | None], fused: FusedCell) -> f
 
 
 # The bands of each raster with one pixel per cell, by file: a new product of the catalogue needs a
-# line here.
+# line here (or in QUANTITIES); cells' vectors, table and ripples.nc take it from there.
 VALUES: dict[str, Callable[[CellResult], Sequence[float]]] = {
     **{
-        file: lambda cell, name=name: statistics(cell.fused.final, name)  # type: ignore[misc]
-        for file, name in QUANTITIES.items()
+        f"ripple_{name}.tif": lambda cell, tell=tell: tell(cell.fused.final)  # type: ignore[misc]
+        for name, tell in QUANTITIES.items()
     },
     "ripple_azimuth.tif": lambda cell: cell.fused.final.azimuth,
     "ripple_probability.tif": lambda cell: [cell_probability(cell.summaries, cell.fused)],
@@ -114,6 +124,15 @@ def cell_results(
     dict of (row, column) to CellResult
     """
     return {cell: CellResult(s, fused[cell], passes) for cell, s in sorted(cells.items())}
+
+
+def cell_products() -> dict[str, Product]:
+    """Products with numbers of each cell, codes aside, by the name of the quantity."""
+    return {
+        product.file.removeprefix("ripple_").rpartition(".")[0]: product
+        for product in CATALOGUE
+        if product.kind == "cells"
+    }
 
 
 def raster(
@@ -184,14 +203,12 @@ def attributes(results: Sequence[CellResult]) -> dict[str, list[Any]]:
         "quality": [int(r.fused.quality) for r in results],
         "quality_text": [r.fused.quality.label for r in results],
         "reason": [MEANINGS[r.fused.quality] for r in results],
-        "probability": [cell_probability(r.summaries, r.fused) for r in results],
     }
-    for name in QUANTITIES.values():
-        every = np.array([statistics(r.fused.final, name) for r in results]).reshape(-1, 4)
-        for i, statistic in enumerate(STATISTICS):
-            columns[f"{name}_{statistic}"] = every[:, i].tolist()
-    for i, statistic in enumerate(("mean", "sd")):
-        columns[f"azimuth_{statistic}"] = [r.fused.final.azimuth[i] for r in results]
+    for name, product in cell_products().items():
+        bands = len(product.bands)
+        keys = [f"{name}_{s}" for s in STATISTICS[:bands]] if bands > 1 else [name]
+        every = np.array([VALUES[product.file](r) for r in results]).reshape(-1, bands)
+        columns |= {key: every[:, i].tolist() for i, key in enumerate(keys)}
     columns["passes_used"] = [len(r.used) for r in results]
     columns["passes"] = [", ".join(r.used) for r in results]
     columns["label"] = [label(r.fused.final) for r in results]

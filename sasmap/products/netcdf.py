@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,16 +14,16 @@ import xarray as xr
 from affine import Affine
 from numpy.typing import NDArray
 
+from sasmap.catalogue import Band
 from sasmap.io.files import written_whole
 from sasmap.products.cell_values import (
-    QUANTITIES,
     STATISTICS,
+    VALUES,
     CellResult,
     Cells,
     FusedCells,
-    cell_probability,
+    cell_products,
     cell_results,
-    statistics,
 )
 from sasmap.ripples.detection import Unclear
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
@@ -51,15 +52,10 @@ SINGLE = {
     "peakedness": ("1", "in-phase second harmonic of the crest profile over A_H"),
     "asymmetry": ("1", "quadrature second harmonic of the crest profile over A_H"),
 }
-UNITS = {"frequency": "m-1", "steepness": "1"}
-NAMES = {
-    "frequency": "ripple frequency f (cycles per metre)",
-    "height": "ripple amplitude A_H, half the height from trough to crest",
-    "wavelength": "ripple wavelength 1/f",
-    "crest_to_trough": "ripple height from trough to crest, 2 A_H",
-    "steepness": "ripple steepness, height from trough to crest over wavelength",
-    "azimuth": "azimuth of the crest normal clockwise from grid north",
-}
+# Units of the catalogue as UDUNITS writes them.
+UNITS = {"cycles/m": "m-1", "degrees": "degree"}
+# What the first of several bands adds to the name of the quantity.
+STATISTIC = re.compile(r", (axial )?mean$")
 
 
 def write_ripples_netcdf(
@@ -206,26 +202,32 @@ def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]
     }
 
 
+def _meaning(band: Band) -> str:
+    """Name what a product's first band holds, without the statistic."""
+    return STATISTIC.sub("", band.text)
+
+
 def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, int]) -> Any:
     """Collect the combined value of each quantity (statistic, y, x) and verdict (y, x)."""
     variables: dict[str, Any] = {}
-    for name in (*QUANTITIES.values(), "azimuth"):
+    flat = ("y", "x")
+    for name, product in cell_products().items():
         values = np.full((len(STATISTICS), *shape), np.nan)
         for cell, result in results.items():
-            final = result.fused.final
-            known = (*final.azimuth,) if name == "azimuth" else statistics(final, name)
+            known = VALUES[product.file](result)
             values[: len(known), *cell] = known
-        unit = "degree" if name == "azimuth" else UNITS.get(name, "m")
-        about = {"units": unit, "long_name": f"{NAMES[name]}, all passes combined"}
-        variables[name] = (("statistic", "y", "x"), values, about)
+        band = product.bands[0]
+        about = {
+            "units": UNITS.get(band.unit, band.unit),
+            "long_name": f"{_meaning(band)}, all passes combined",
+        }
+        if len(product.bands) == 1:  # that of each pass has the name alone
+            variables[f"cell_{name}"] = (flat, values[0], about)
+        else:
+            variables[name] = (("statistic", *flat), values, about)
     quality, passes = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
-    probability = np.full(shape, np.nan)
     for cell, result in results.items():
         quality[cell], passes[cell] = result.fused.quality, min(len(result.used), 127)
-        probability[cell] = cell_probability(result.summaries, result.fused)
-    flat = ("y", "x")
-    about = {"units": "1", "long_name": "probability that the cell is rippled, all passes"}
-    variables["cell_probability"] = (flat, probability, about)
     variables["cell_quality"] = (flat, quality, _flags("quality of the cell"))
     about = {"units": "1", "long_name": "number of passes used for the cell's values"}
     variables["cell_passes"] = (flat, passes, about)
@@ -248,7 +250,8 @@ def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> d
         for name in ("mean", "sd") if prefix == "prior_" else STATISTICS:
             for i, (parameter, unit) in enumerate(_PARAMETERS):
                 values = _values(cells, shape, partial(_statistic, source, name, i))
-                attributes = {"units": unit, "long_name": f"{name} of {NAMES[parameter]}, {about}"}
+                meant = _meaning(cell_products()[parameter].bands[0])
+                attributes = {"units": unit, "long_name": f"{name} of {meant}, {about}"}
                 variables[f"{parameter}_{prefix}{name}"] = (_DIMS, values, attributes)
         for i, name in enumerate(("mean", "sd")):
             values = _values(cells, shape, partial(_statistic, source, "azimuth", i))

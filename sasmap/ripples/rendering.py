@@ -200,15 +200,6 @@ class Geometry(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def law_intensity(sine, exponent, concentration):  # type: ignore[no-untyped-def]
-    """Scattered intensity at a local grazing angle given by its sine."""
-    if sine <= 0.0:
-        return 0.0
-    offset = np.arcsin(min(sine, 1.0)) - 0.5 * np.pi
-    return np.exp(exponent * np.log(sine) - concentration * offset * offset)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def contrast_per_slope(exponent, concentration, tangent):  # type: ignore[no-untyped-def]
     """Relative change of intensity with slope at a grazing angle, to first order: law and lean."""
     grazing = np.arctan(tangent)

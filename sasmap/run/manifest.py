@@ -20,6 +20,7 @@ from sasmap.catalogue import MANIFEST
 from sasmap.io.jsonfile import write_json
 from sasmap.ripples.fusion import FusedCell
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.settings import RippleSettings, scattering_law
 from sasmap.ripples.summary import Summary
 from sasmap.ripples.survey import SurveyModel, quantiles_of
 from sasmap.run.plan import Plan, crs_name
@@ -69,7 +70,7 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
             "crs": crs_name(plan.opened.grid.crs),
         },
         "cells_by_quality": outcome.counts(),
-        "scattering_law": law_record(outcome.survey),
+        "scattering_law": law_record(outcome.survey, plan.settings.ripples),
         "looks_computed": outcome.computed,
         "looks_kept_from_earlier_runs": outcome.kept,
         "sediment_classes": outcome.sediments,
@@ -83,7 +84,9 @@ def write_manifest(plan: Plan, store: Store, outcome: Outcome) -> Path:
     return path
 
 
-def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
+def law_record(
+    survey: SurveyModel | None, settings: RippleSettings | None
+) -> dict[str, Any] | None:
     """Record the survey's scattering law and other shared parameters, with 5 and 95 % quantiles."""
     if survey is None or not survey.values:
         return None
@@ -99,6 +102,7 @@ def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
     return {
         "form": "intensity = sin(grazing)^exponent exp(-concentration (grazing - pi/2)^2)",
         "learned": survey.learned,
+        **_told(settings),
         **(_law(quantiles) if survey.learned else {}),
         "laws_told_apart": sediments if survey.apart else [],
         "lambert": {"exponent": 2.0, "concentration": 0.0},
@@ -107,6 +111,14 @@ def law_record(survey: SurveyModel | None) -> dict[str, Any] | None:
         "altitude_offset_m": [list(q) for q in quantiles["offset"].T],
         "scatter_between_passes": list(quantiles["scatter"][1]),
     }
+
+
+def _told(settings: RippleSettings | None) -> dict[str, Any]:
+    """Record the law that the survey file fixes, if it does."""
+    law = None if settings is None else scattering_law(settings.scattering)
+    return (
+        {} if law is None else {"told": dict(zip(("exponent", "concentration"), law, strict=True))}
+    )
 
 
 def _law(quantiles: dict[str, NDArray[np.float64]]) -> dict[str, Any]:

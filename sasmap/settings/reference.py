@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sasmap.settings.survey import Survey
@@ -20,7 +20,6 @@ def survey_reference() -> str:
     """Return the reference page, in Markdown."""
     schema = Survey.model_json_schema()
     blocks = schema["$defs"]
-    lines = [HEAD]
     parts = (
         ("The survey", schema),
         ("An entry of `passes`", blocks["PassSettings"]),
@@ -28,6 +27,24 @@ def survey_reference() -> str:
         ("`sediments`", blocks["SedimentSettings"]),
         ("An entry of `sediments.classes`", blocks["ClassSettings"]),
     )
+    return page_of_keys(HEAD, parts)
+
+
+def page_of_keys(head: str, parts: Sequence[tuple[str, dict[str, Any]]]) -> str:
+    """Return a page of tables of keys, in Markdown.
+
+    Parameters
+    ----------
+    head : str
+        What stands above the tables.
+    parts : sequence of (str, dict)
+        Title and JSON Schema of each block.
+
+    Returns
+    -------
+    str
+    """
+    lines = [head]
     for title, block in parts:
         lines.append(f"## {title}\n")
         lines.append("| key | value | default | meaning |")
@@ -66,6 +83,8 @@ def _kind(about: dict[str, Any]) -> str:
     if about.get("type") == "array":
         if "prefixItems" in about:
             return f"a list of {len(about['prefixItems'])} numbers"
+        if "prefixItems" in about["items"]:
+            return "a list of pairs of numbers"
         inner = _kind(about["items"])
         return f"a list of {'blocks' if inner == 'a block' else 'texts'}"
     names = {

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sasmap.ripples.scattering import (
+    ProfileName,
     cross_section,
     lit_amplitude,
     profile_slope,
@@ -134,11 +137,11 @@ def scattering(
     result = cross_section(grazing)
     for k, patch in enumerate(scene.ripples):
         on = (waves.patch == k) & (waves.height > 0)
-        # scenes with published physics have no asymmetric ripples
-        if on.any() and patch.profile != "asymmetric":
+        if on.any():
+            profile = cast(ProfileName, patch.profile)  # a scene with another one is refused
             full = 2 * np.pi * np.hypot(waves.east[on], waves.north[on]) * waves.height[on]
-            slope = profile_slope(phase[on], full, patch.profile)
-            extreme = steepest(full, patch.profile)
+            slope = profile_slope(phase[on], full, profile)
+            extreme = steepest(full, profile)
             result[on] = lit_amplitude(grazing[on], slope, extreme, steepness[on])
     shadow = _shadow(scene, floor, line, view, waves, phase, along_look, pixel)
     centre = line.see(*(np.array([v]) for v in scene.centre))

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 CrestProfile = Literal["sine", "stokes", "peaked", "asymmetric"]
+# Those that the published physics renders.
+PUBLISHED_PROFILES = ("sine", "stokes", "peaked")
 
 
 def crest(

@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from sasmap.simulate.laws import Law, PowerLaw
-from sasmap.simulate.profiles import CrestProfile
+from sasmap.simulate.profiles import PUBLISHED_PROFILES, CrestProfile
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 Point = tuple[FiniteFloat, FiniteFloat]
@@ -58,7 +58,7 @@ class RipplePatch(_Block):
     height: Positive = Field(description="A_H, m")
     azimuth: FiniteFloat = Field(description="crest normal, degrees clockwise from grid north")
     phase: FiniteFloat = Field(0.0, description="rad, at the scene's centre")
-    profile: CrestProfile = "sine"
+    profile: CrestProfile = Field("sine", description="crest profile")
     asymmetry: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.35, description="a of the asymmetric profile, sin(p + a sin p)"
     )
@@ -70,7 +70,9 @@ class RipplePatch(_Block):
     bends: Polygon | None = Field(
         None, description="where crests wander and fork, in pairs of forks; default everywhere"
     )
-    polygon: Polygon | None = None
+    polygon: Polygon | None = Field(
+        None, description="m east and north of the origin; none: everywhere"
+    )
     added: bool = Field(False, description="adds to the ripples beneath, instead of replacing them")
 
     @model_validator(mode="after")
@@ -85,7 +87,7 @@ class ScenePass(_Block):
 
     name: Name
     heading: FiniteFloat = Field(description="degrees clockwise from grid north")
-    side: Literal["port", "starboard"] = "starboard"
+    side: Literal["port", "starboard"] = Field("starboard", description="of the track that is seen")
     distance: Positive = Field(description="ground range of the scene's centre, m")
     altitude: Positive | tuple[Positive, Positive] = Field(
         5.0, description="m; two values: at the track's start and end"
@@ -95,7 +97,7 @@ class ScenePass(_Block):
         0.0, description="of the tiles' rows against grid east, degrees clockwise"
     )
     tile: Annotated[int, Field(ge=16, le=20_000)] = Field(2000, description="tile side, pixels")
-    range: Literal["ground", "slant"] = "ground"
+    range: Literal["ground", "slant"] = Field("ground", description="of the tiles' columns")
     gain: Positive | None = Field(None, description="pixel value of the mean flat amplitude")
     correlation: NotNegative = Field(0.0, description="speckle correlation length, pixels")
     blur: Annotated[FiniteFloat, Field(ge=0.3, le=5)] = Field(
@@ -107,31 +109,43 @@ class ScenePass(_Block):
     noise: FiniteFloat | None = Field(
         -25.0, description="receiver noise, dB over the mean intensity"
     )
-    dtype: Literal["uint8", "uint16", "float32"] = "uint8"
-    positions: Literal["projected", "geographic"] = "projected"
+    dtype: Literal["uint8", "uint16", "float32"] = Field(
+        "uint8", description="of the tiles' pixels"
+    )
+    positions: Literal["projected", "geographic"] = Field(
+        "projected", description="of the navigation file"
+    )
     area: Polygon | None = Field(None, description="area covered; default the whole scene")
 
 
 class Scene(_Block):
     """A simulated survey."""
 
-    name: Name
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    crs: str = "EPSG:32617"
+    name: Name = Field(description="of the survey")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of everything random")
+    crs: str = Field("EPSG:32617", description="projected, in metres")
     origin: Point = Field(description="lower-left corner, map coordinates, m")
     size: tuple[Positive, Positive] = Field(description="m east and north")
-    pixel_size: Positive
-    window: Annotated[int, Field(ge=3, le=10_000)] = 500
+    pixel_size: Positive = Field(description="m")
+    window: Annotated[int, Field(ge=3, le=10_000)] = Field(
+        500, description="side of the survey's cells, pixels"
+    )
     physics: Literal["published", "coherent"] = Field(
-        "published", description="published: a* times speckle; coherent: scattering facets"
+        "coherent",
+        description="coherent: scattering facets, placed by slant range; published: equation 3 of "
+        "Zare and Cobb (2013) times speckle, crests do not lean",
     )
     law: LawChoice = Field("lambert", description="scattering law, coherent physics only")
-    shadow: Literal["line-of-sight", "crest"] = "line-of-sight"
+    shadow: Literal["line-of-sight", "crest"] = Field(
+        "line-of-sight", description="rule of shadow; crest: published physics only"
+    )
     sediments: Annotated[tuple[Sediment, ...], Field(min_length=1)] = Field(
         description="later ones cover earlier ones; the first lies everywhere"
     )
     ripples: tuple[RipplePatch, ...] = Field((), description="later ones cover earlier ones")
-    passes: Annotated[tuple[ScenePass, ...], Field(min_length=1)]
+    passes: Annotated[tuple[ScenePass, ...], Field(min_length=1)] = Field(
+        description="straight passes by the scene"
+    )
 
     @field_validator("crs")
     @classmethod
@@ -174,7 +188,7 @@ def _check_physics(scene: Scene) -> None:
     coherent = {
         "law": "law" in scene.model_fields_set,
         "sediments.law": any(s.law is not None for s in scene.sediments),
-        "ripples.profile": any(p.profile == "asymmetric" for p in scene.ripples),
+        "ripples.profile": any(p.profile not in PUBLISHED_PROFILES for p in scene.ripples),
         "ripples.added": any(p.added for p in scene.ripples),
         "passes.range_flattened": any(p.range_flattened for p in scene.passes),
         "passes.blur": any("blur" in p.model_fields_set for p in scene.passes),

@@ -307,9 +307,9 @@ def _joined(runs: list[tuple[FloatArray, int, int]]) -> list[tuple[FloatArray, i
 
 
 def _survey(scene: Scene) -> str:
-    ripples = {"method": "default", "shadow": scene.shadow}
-    if scene.physics == "coherent":  # only settings that apply to its physics
-        ripples = {}
+    ripples = {}
+    if scene.physics == "published":  # the law that renders its images
+        ripples = {"scattering": "zare-cobb", "shadow": scene.shadow}
     content = {
         "name": scene.name,
         "output": "out",

@@ -14,7 +14,15 @@ from affine import Affine
 import sasmap
 from sasmap.catalogue import BY_FILE, CATALOGUE, Band, Product, Ramp
 from sasmap.errors import InputError
-from sasmap.products.cell_values import VALUES, cell_results, label, measured, statistics
+from sasmap.products.cell_values import (
+    VALUES,
+    attributes,
+    cell_results,
+    label,
+    measured,
+    statistics,
+)
+from sasmap.products.netcdf import _combined
 from sasmap.products.ranges import padded_range, range_of
 from sasmap.products.ripples import write_ripple_rasters
 from sasmap.ripples.cell_estimate import CellEstimate
@@ -190,6 +198,7 @@ def test_a_new_product_takes_one_entry_and_one_writer(sample, tmp_path, monkeypa
         Ramp("viridis"),
     )
     monkeypatch.setattr("sasmap.products.ripples.CATALOGUE", (entry,))
+    monkeypatch.setattr("sasmap.products.cell_values.CATALOGUE", (*CATALOGUE, entry))
     monkeypatch.setitem(VALUES, "ripple_age.tif", lambda cell: [float(len(cell.used))])
     results = cell_results(outcome.cells, outcome.fused, ["near", "far"])
     place = Affine(12.5, 0, 500000, 0, -12.5, 3300025), pyproj.CRS.from_epsg(32617).to_wkt()
@@ -198,6 +207,12 @@ def test_a_new_product_takes_one_entry_and_one_writer(sample, tmp_path, monkeypa
         assert source.descriptions == ("age",)
         assert source.units == ("d",)
         assert set(source.read(1).ravel()) <= {0.0, 1.0, 2.0}
+    used = [len(result.used) for result in results.values()]
+    assert attributes(list(results.values()))["age"] == used
+    dims, values, about = _combined(results, (2, 3))["cell_age"]
+    assert dims == ("y", "x")
+    assert values.ravel().tolist() == used
+    assert about["units"] == "d"
 
 
 def test_titles_of_the_catalogue_are_all_different():

@@ -17,6 +17,7 @@ PLAIN = {
     "origin": (500000.0, 3300000.0),
     "size": (10.0, 8.0),
     "pixel_size": 0.05,
+    "physics": "published",
     "sediments": [{"name": "sand"}],
     "passes": [{"name": "one", "heading": 0, "distance": 20, "dtype": "float32", "noise": None}],
 }
