@@ -9,8 +9,8 @@ HEAD = """# Keys of scene.yaml
 
 Generated from the program's model by `python -m sasmap.simulate.reference > docs/scene.md`. A scene
 is a sea floor with known truth and the passes by it; `sasmap simulate scene.yaml --output DIR`
-renders its tiles and writes navigation, truth and a `survey.yaml` that runs. `sample_data/scene.yaml`
-is one.
+renders its tiles and writes navigation, truth and a `survey.yaml` that runs.
+`sample_data/scene.yaml` is one.
 """
 
 
