@@ -13,7 +13,7 @@ from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
-from sasmap.ripples.optimise import COORDINATES, free_coordinates, sampled_coordinates
+from sasmap.ripples.optimise import COORDINATES, HEIGHT, free_coordinates, sampled_coordinates
 from sasmap.ripples.posterior import (
     NOTHING,
     LeftOut,
@@ -40,6 +40,14 @@ FIELD_HEIGHT = 0.06
 # beyond: with straight crests, and where a field is followed, as forks under deep shadow make it
 # large (pipelines/ripples/coherent.py).
 MISFIT, FIELD_MISFIT = (4.0, 0.15), (2.0, 0.2)
+# Misfit of lit sea floor that waves of one height leave, and error of log A_H for each unit beyond
+# (pipelines/studies/varying.py).
+ONE_HEIGHT, VARYING = 0.05, 1.5
+# Rippled share of a clip from which it counts as filled, and below which an edge of the ripples is
+# sure to be in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
+FILLED, EDGE_TURN = (0.95, 0.85), 0.06
+# Step of log A_H by which the lag's change with height is told.
+HEIGHT_STEP = 0.02
 # Most that an error leaves unknown: this share of what the prior of steepness does.
 UNKNOWN = 0.8
 # Draws from which the lag's slope over range is learned.
@@ -144,10 +152,10 @@ def _default(
     )
     other = second_system(found.waves, fit.phase.wave)
     points, acceptance, done = _sampled(fit, settings, rng)
-    draws = _labelled(points, fit, image, _crossing(wave, other), rng)
+    extent = ripple_extent(image, fit.phase.wave)
+    draws = _labelled(points, fit, image, (_crossing(wave, other), extent.fraction), rng)
     draws["frequency"].values = prior.weigh_frequency(draws["frequency"].values)
     image_of = modelled(clip, image, fit, points) if settings.keep_model else None
-    extent = ripple_extent(image, fit.phase.wave)
     return Posterior(
         _judged(draws, done, image),
         prior,
@@ -179,7 +187,8 @@ def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> 
     if not np.isfinite(fit.peaks[0].level):  # the prior has no place for it
         return xr.Dataset()
     points, _, _ = _sampled(fit, task.settings, rng)
-    return _labelled(points, fit, task.image, _crossing(wave, first), rng)
+    fraction = ripple_extent(task.image, fit.phase.wave).fraction
+    return _labelled(points, fit, task.image, (_crossing(wave, first), fraction), rng)
 
 
 def _crossing(wave: Wave, other: Wave | None) -> float:
@@ -273,12 +282,17 @@ def _sampled(
 
 
 def _labelled(
-    points: FloatArray, fit: Fit, image: Image, crossing: float, rng: np.random.Generator
+    points: FloatArray,
+    fit: Fit,
+    image: Image,
+    beside: tuple[float, float],
+    rng: np.random.Generator,
 ) -> xr.Dataset:
     """Name draws and give them the units that people read.
 
-    `crossing` is the error of log A_H by crests that cross.
+    `beside` is the error of log A_H by crests that cross, and the rippled share of the clip.
     """
+    crossing, fraction = beside
     shape = points.shape[:2]
     named = named_parameters(points, fit.geometry)
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
@@ -292,6 +306,8 @@ def _labelled(
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
     tilt = np.hypot(sd[0], float(offset.std()) / np.sqrt(rows))
     along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
+    stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
+    along, across = along * stretch, across * stretch
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
     if not fit.phase.rigid:
         cycles = cycles + lag
@@ -314,8 +330,40 @@ def _height_error(fit: Fit) -> float:
     The pulse is that of straight crests of the mean wavelength; and an image that varies more than
     speckle does holds something that the model lacks.
     """
-    error, (speckle, misfit) = (0.0, MISFIT) if fit.phase.rigid else (FIELD_HEIGHT, FIELD_MISFIT)
+    error, (speckle, misfit) = (
+        (_varying(fit), MISFIT) if fit.phase.rigid else (FIELD_HEIGHT, FIELD_MISFIT)
+    )
     return float(np.hypot(error, misfit * max(np.log(fit.noise_factor / speckle), 0.0)))
+
+
+def _varying(fit: Fit) -> float:
+    """Error of log A_H where single waves, or parts of the clip, have heights of their own."""
+    return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0)
+
+
+def _stretch(fit: Fit, image: Image, fraction: float) -> float:
+    """Relative error of f by heights that vary from wave to wave and by an edge of the ripples.
+
+    A higher wave casts a longer shadow and leans farther, which turns the image's phase there; at
+    an edge of the ripples the mean intensity has a step, which turns the phase of the last wave.
+    """
+    side = image.pixel_size * np.sqrt(np.count_nonzero(image.valid))
+    waves = max(side * (abs(fit.geometry.along) + abs(fit.geometry.across)), 1.0)
+    whole, cut = FILLED
+    turn = EDGE_TURN * np.clip((whole - fraction) / (whole - cut), 0.0, 1.0)
+    edge = turn / max(waves * fraction, 1.0)
+    # a line through the phases of so many waves
+    return float(np.hypot(edge, _turn_of_heights(fit) * np.sqrt(12 / waves) / waves))
+
+
+def _turn_of_heights(fit: Fit) -> float:
+    """Cycles by which the image's phase differs from wave to wave with their heights."""
+    spread = _varying(fit)
+    if not fit.phase.rigid or spread == 0.0:
+        return 0.0
+    step = HEIGHT_STEP * (np.arange(COORDINATES) == HEIGHT)
+    turned = np.unwrap(pulses_at(fit, fit.z + step)[1] - pulses_at(fit, fit.z)[1])
+    return float(spread * np.sqrt(np.mean(turned**2)) / (2 * np.pi * HEIGHT_STEP))
 
 
 def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -92,6 +92,8 @@ class Fit(NamedTuple):
         Variance of the speckle over that of independent pixels.
     explained : float
         Log likelihood of the likeliest ripple over that of a flat sea floor, speckle independent.
+    misfit : float
+        Relative error of the expected intensity that the image shows (:func:`misfit_of`).
     """
 
     phase: PhaseField
@@ -101,6 +103,7 @@ class Fit(NamedTuple):
     peaks: list[Peak]
     noise_factor: float = 1.0
     explained: float = 0.0
+    misfit: float = 0.0
 
     @property
     def z(self) -> FloatArray:
@@ -246,9 +249,10 @@ def refined(task: Task, fit: Fit) -> Fit:
     for _ in range(ERROR_ROUNDS):
         fit = reweighted(fit, whole, image.pixel_size)
     found = rivals(fit.peaks, fit.data, fit.geometry)
-    if found[0] is fit.peaks[0]:
-        return fit._replace(peaks=found)
-    return reweighted(fit._replace(peaks=found), whole, image.pixel_size)
+    another = found[0] is not fit.peaks[0]
+    fit = fit._replace(peaks=found)
+    fit = reweighted(fit, whole, image.pixel_size) if another else fit
+    return fit._replace(misfit=misfit_of(fit._replace(data=whole)))
 
 
 def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
@@ -312,6 +316,26 @@ def with_errors(fit: Fit) -> Histogram:
     flat = stack.reshape(len(stack), -1)
     information = (flat * data.pixel_count.ravel()) @ flat.T
     return data._replace(errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack))))
+
+
+def misfit_of(fit: Fit) -> float:
+    """Relative error of the expected intensity beyond speckle, root mean square over what is lit.
+
+    Of groups of range and parts of phase; `fit` has a histogram of whole pixels. What is dark
+    weighs less, by the square of its intensity: side lobes are light there.
+    """
+    data = fit.data
+    means = expected_at(fit, fit.z)[0]
+    part = np.arange(means.shape[1]) * ERROR_CELLS // means.shape[1]
+    cell = (data.group[:, None] * ERROR_CELLS + part).ravel()
+    pixels, seen, expected = (
+        np.bincount(cell, v.ravel())
+        for v in (data.pixel_count, data.intensity_sum, data.pixel_count * means)
+    )
+    count = np.maximum(pixels, 1.0)
+    bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
+    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
+    return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))
 
 
 def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:

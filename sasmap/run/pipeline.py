@@ -25,6 +25,7 @@ from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.run.answers import summary_lines
+from sasmap.run.bands import bands_or_ripples
 from sasmap.run.cost import check_fits, compiled
 from sasmap.run.extent_stage import write_ripple_extent
 from sasmap.run.lock import LOCK, locked
@@ -287,6 +288,10 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
         "ripple cells",
         lambda: write_cells(store.output, results, *place, grid.size, scratch),
     )
+    doubt = bands_or_ripples(outcome.cells, outcome.fused, plan.swaths)
+    if doubt:
+        outcome.warnings.append(doubt)
+        log.warning("warning: %s", doubt)
     path = store.output / "ripples.nc"
     found = outcome.cells, outcome.fused, labels, names
     _attempt(

@@ -339,8 +339,8 @@ def _black_level(raw: Speckle) -> Verdict | None:
     if raw.floor < CLIPPED:
         return None
     return Verdict(
-        f"{raw.dark:.0%} of its pixels are nearly black, where speckle has 1 %: a black level was "
-        "subtracted; export it without"
+        f"{raw.dark:.0%} of its pixels are nearly black, where speckle has 1 %: deep shadow, too "
+        "few levels, or a black level was subtracted; if one was, export it without"
     )
 
 

@@ -302,3 +302,23 @@ def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
     spread = float(np.log(posterior.draws.height).std())
     prior = posterior.prior.steepness[1]
     assert 0.6 * prior < spread < 0.9 * prior
+
+
+def test_waves_of_unlike_heights_widen_height_and_frequency():
+    fit = SimpleNamespace(phase=SimpleNamespace(rigid=True), noise_factor=1.0, misfit=0.04)
+    assert estimation._height_error(fit) == 0.0  # waves that are alike
+    few, many = (
+        estimation._height_error(SimpleNamespace(**{**vars(fit), "misfit": m})) for m in (0.1, 0.2)
+    )
+    assert 0.05 < few < many
+
+
+def test_an_edge_of_the_ripples_widens_frequency():
+    image = SimpleNamespace(pixel_size=0.025, valid=np.ones((500, 500), bool))
+    geometry = SimpleNamespace(along=1.0, across=0.0)
+    phase = SimpleNamespace(rigid=True)
+    fit = SimpleNamespace(geometry=geometry, misfit=0.0, phase=phase)
+    filled, half, third = (estimation._stretch(fit, image, f) for f in (0.98, 0.5, 0.3))
+    assert filled == 0.0
+    assert half == pytest.approx(estimation.EDGE_TURN / 6.25)
+    assert third > half

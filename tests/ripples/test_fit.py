@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from sasmap.ripples.fit import Fit, bin_weights, expected_at
+from sasmap.ripples.fit import Fit, bin_weights, expected_at, misfit_of
 from sasmap.ripples.optimise import fisher_scoring, search
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
 
@@ -79,3 +79,24 @@ def test_light_as_bright_as_the_clip_where_shadow_is_foretold_counts():
     light = np.where(dark, 0.5 * data.pixel_count, 0.0)
     wrong = plain._replace(data=data._replace(intensity_sum=data.intensity_sum + light))
     assert worth(wrong) < 0.1 * worth(plain)
+
+
+def test_misfit_is_that_of_lit_sea_floor_beyond_speckle():
+    rng = np.random.default_rng(4)
+    exact = fit_of(6, np.ones((6, BINS)))
+    assert misfit_of(exact) < 0.02
+    speckle = rng.gamma(500, 1 / 500, (24, BINS))
+    noisy = exact.data._replace(intensity_sum=exact.data.intensity_sum * speckle)
+    assert misfit_of(exact._replace(data=noisy)) < 0.03
+    for error in (0.1, 0.3):
+        signs = np.repeat(rng.choice([-1.0, 1.0], (6, 16)), 3, axis=1)
+        assert abs(misfit_of(fit_of(6, 1 + error * signs)) / error - 1) < 0.15
+
+
+def test_light_in_deep_shadow_is_no_misfit():
+    fit = fit_of(6, np.ones((6, BINS)), height=0.18, noise=1e-4)
+    dark = expected_at(fit, fit.z)[0] < 2e-3
+    more = np.where(dark, 3.0, 1.0) * fit.data.intensity_sum
+    assert dark.any()
+    before = misfit_of(fit)
+    assert abs(misfit_of(fit._replace(data=fit.data._replace(intensity_sum=more))) - before) < 0.005
