@@ -328,13 +328,11 @@ def misfit_of(fit: Fit) -> float:
     means = expected_at(fit, fit.z)[0]
     part = np.arange(means.shape[1]) * ERROR_CELLS // means.shape[1]
     cell = (data.group[:, None] * ERROR_CELLS + part).ravel()
-    groups = int(data.group.max()) + 1
     pixels, seen, expected = (
-        np.bincount(cell, v.ravel(), groups * ERROR_CELLS).reshape(groups, ERROR_CELLS)
+        np.bincount(cell, v.ravel())
         for v in (data.pixel_count, data.intensity_sum, data.pixel_count * means)
     )
     count = np.maximum(pixels, 1.0)
-    expected *= (seen.sum(axis=1) / expected.sum(axis=1))[:, None]  # gains are told by the dark too
     bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
     beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
     return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))

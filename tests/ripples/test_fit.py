@@ -91,12 +91,3 @@ def test_misfit_is_that_of_lit_sea_floor_beyond_speckle():
     for error in (0.1, 0.3):
         signs = np.repeat(rng.choice([-1.0, 1.0], (6, 16)), 3, axis=1)
         assert abs(misfit_of(fit_of(6, 1 + error * signs)) / error - 1) < 0.15
-
-
-def test_light_in_deep_shadow_is_no_misfit():
-    fit = fit_of(6, np.ones((6, BINS)), height=0.18, noise=1e-4)
-    dark = expected_at(fit, fit.z)[0] < 2e-3
-    more = np.where(dark, 3.0, 1.0) * fit.data.intensity_sum
-    assert dark.any()
-    before = misfit_of(fit)
-    assert abs(misfit_of(fit._replace(data=fit.data._replace(intensity_sum=more))) - before) < 0.005
