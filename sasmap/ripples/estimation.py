@@ -358,8 +358,8 @@ def _stretch(fit: Fit, image: Image, fraction: float) -> float:
 
 def _turn_of_heights(fit: Fit) -> float:
     """Cycles by which the image's phase differs from wave to wave with their heights."""
-    spread = _varying(fit)
-    if not fit.phase.rigid or spread == 0.0:
+    spread = _varying(fit) if fit.phase.rigid else 0.0
+    if spread == 0.0:
         return 0.0
     step = HEIGHT_STEP * (np.arange(COORDINATES) == HEIGHT)
     turned = np.unwrap(pulses_at(fit, fit.z + step)[1] - pulses_at(fit, fit.z)[1])

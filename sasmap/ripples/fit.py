@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -318,6 +319,14 @@ def with_errors(fit: Fit) -> Histogram:
     return data._replace(errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack))))
 
 
+def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
+    """Sum values (blocks, bins) over groups of range and parts of phase, (groups, parts)."""
+    groups, bins = int(data.group.max()) + 1, values.shape[1]
+    cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
+    summed = np.bincount(cell.ravel(), values.ravel(), groups * ERROR_CELLS)
+    return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
+
+
 def misfit_of(fit: Fit) -> float:
     """Relative error of the expected intensity beyond speckle, root mean square over what is lit.
 
@@ -326,11 +335,8 @@ def misfit_of(fit: Fit) -> float:
     """
     data = fit.data
     means = expected_at(fit, fit.z)[0]
-    part = np.arange(means.shape[1]) * ERROR_CELLS // means.shape[1]
-    cell = (data.group[:, None] * ERROR_CELLS + part).ravel()
     pixels, seen, expected = (
-        np.bincount(cell, v.ravel())
-        for v in (data.pixel_count, data.intensity_sum, data.pixel_count * means)
+        in_cells(data, v) for v in (data.pixel_count, data.intensity_sum, data.pixel_count * means)
     )
     count = np.maximum(pixels, 1.0)
     bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
@@ -371,12 +377,7 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
     groups = int(data.group.max()) + 1
     part = np.arange(bins) * ERROR_CELLS // bins
-    cell = data.group[:, None] * ERROR_CELLS + part
-
-    def total(values: FloatArray) -> FloatArray:
-        summed = np.bincount(cell.ravel(), values.ravel(), groups * ERROR_CELLS)
-        return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
-
+    total = partial(in_cells, data)
     pixels = total(data.pixel_count)
     count = np.maximum(pixels, 1.0)
     displacement = (shift * slope) ** 2
