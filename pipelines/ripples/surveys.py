@@ -1,14 +1,15 @@
 """Heights of whole surveys: one scattering law, a few cells with shadow, the rest by contrast.
 
     python pipelines/ripples/surveys.py [--surveys 6] [--cells 60] [--shadowed 15] [--mixed]
-        [--csv FILE] [--cache FOLDER]
+        [--mapped] [--csv FILE] [--cache FOLDER]
 
 Each survey has one scattering law, of the fitted family or outside it, rendered by the coherent
 simulator. Ripples cast shadow in its far cells, and not in the others. Every cell is estimated
 alone; then the law is estimated from all of them. Prints coverage and error of A_H before and
 after, for cells with shadow and without. `--mixed` makes surveys of two sediments: every second
-cell of one survey and the others of another, for each pair of surveys. With a cache the looks are
-estimated once and stored there, so that the second stage can be studied again in seconds.
+cell of one survey and the others of another, for each pair of surveys; with `--mapped` the second
+stage knows which of the two sediments each cell is of, but for one in twenty. With a cache the
+looks are estimated once and stored there, so that the second stage can be studied again in seconds.
 """
 
 from __future__ import annotations
@@ -112,13 +113,15 @@ def looks_of(
     return list(pool.map(partial(one, law=law_of(seed), size=size, cache=cache), jobs))
 
 
-def judge(title: str, found: list[Look], seed: int) -> list[dict[str, Any]]:
+def judge(
+    title: str, found: list[Look], seed: int, classes: list[int] | None = None
+) -> list[dict[str, Any]]:
     """Estimate the law of a survey from its looks; a row for each good cell."""
     summaries = [[summary] for summary, _ in found]
-    survey = learn_survey(summaries, RippleSettings(), seed)
+    survey = learn_survey(summaries, RippleSettings(), seed, classes)
     rows = []
     for (summary, truth), fused in zip(
-        found, fuse_cells(summaries, RippleSettings(), survey), strict=True
+        found, fuse_cells(summaries, RippleSettings(), survey, classes), strict=True
     ):
         if summary.quality is not Quality.GOOD:
             continue
@@ -155,6 +158,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=500)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--mixed", action="store_true", help="two laws in each survey")
+    parser.add_argument("--mapped", action="store_true", help="with --mixed: the map tells them")
     parser.add_argument("--csv")
     parser.add_argument("--cache", type=Path)
     options = parser.parse_args()
@@ -168,7 +172,11 @@ def main() -> None:
     if options.mixed:
         for first, other in combinations(seeds, 2):
             title = f"{first} with {other}: laws {law_of(first)} and {law_of(other)}"
-            rows += judge(title, found[first][::2] + found[other][1::2], first)
+            both = found[first][::2], found[other][1::2]
+            classes = [
+                1 + k if i % 20 else 2 - k for k, one in enumerate(both) for i in range(len(one))
+            ]
+            rows += judge(title, both[0] + both[1], first, classes if options.mapped else None)
     else:
         for seed in seeds:
             rows += judge(f"{seed}: law {law_of(seed)}", found[seed], seed)

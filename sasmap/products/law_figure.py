@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
@@ -14,8 +16,8 @@ FloatArray = NDArray[np.float64]
 
 # Laws drawn beside the estimated one: exponent n, concentration c, and the line style.
 OTHERS = {"Lambert": (2.0, 0.0, "--"), "Zare and Cobb": (0.0, 3 / np.pi, ":")}
-# Of the estimated laws: blue, vermilion.
-COLOURS = ("#0072b2", "#d55e00")
+# Of the estimated laws: blue, vermilion, green, purple.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 # Ratio of the widths of posterior and prior intervals of n below which the data constrain the law
 # (a choice), and the 90 % interval of a Gaussian prior in standard deviations.
 FIXED = 0.5
@@ -25,7 +27,9 @@ PRIOR_WIDTH = 2 * 1.645
 BENT = 0.7
 
 
-def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Picture | None:
+def law_figure(
+    survey: SurveyModel | None, grazing: tuple[float, float], sediments: Sequence[str] = ()
+) -> Picture | None:
     """Draw intensity over grazing angle.
 
     Parameters
@@ -34,6 +38,8 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     grazing : tuple of float
         Least and largest grazing angle of the survey's cells, degrees: the law is drawn from a
         third of the least to 75 degrees, relative to their middle.
+    sediments : sequence of str
+        Names of the mapped classes.
 
     Returns
     -------
@@ -46,14 +52,13 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     middle = float(np.sqrt(grazing[0] * grazing[1]))
     figure = Figure(figsize=(5.2, 2.8), layout="constrained")
     axes = figure.add_subplot()
-    for number, (draws, colour) in enumerate(zip(survey.found, COLOURS, strict=False), 1):
+    names = law_names(survey, sediments)
+    for name, draws, colour in zip(names, survey.found, COLOURS, strict=False):
         levels = np.array(
             [level(float(p.shared.law[0]), float(p.shared.law[1]), degrees, middle) for p in draws]
         )
         low, centre, high = np.quantile(levels, (0.05, 0.5, 0.95), axis=0)
         axes.fill_between(degrees, low, high, color=colour, alpha=0.25, linewidth=0)
-        share = 100 * np.mean([p.weight for p in draws])
-        name = f"law {number}, {share:.0f} % of the cells" if survey.apart else "estimated"
         axes.plot(degrees, centre, color=colour, label=f"{name} (90 % interval)")
     for name, (n, c, line) in OTHERS.items():
         axes.plot(degrees, level(n, c, degrees, middle), line, color="#333333", label=name)
@@ -66,7 +71,21 @@ def law_figure(survey: SurveyModel | None, grazing: tuple[float, float]) -> Pict
     axes.tick_params(labelsize=7)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
-    return Picture(encoded(figure), f"{law_caption(survey)} Grey: grazing angles of the cells.")
+    caption = f"{law_caption(survey, sediments)} Grey: grazing angles of the cells."
+    return Picture(encoded(figure), caption)
+
+
+def law_names(survey: SurveyModel, sediments: Sequence[str] = ()) -> list[str]:
+    """Name each law that the survey tells apart, by its sediment or its share of the cells."""
+    if not survey.apart:
+        return ["estimated"]
+    if survey.sediments:
+        return [
+            sediments[number - 1] if number <= len(sediments) else f"class {number}"
+            for number in survey.sediments
+        ]
+    shares = [100 * np.mean([p.weight for p in draws]) for draws in survey.found]
+    return [f"law {i}, {share:.0f} % of the cells" for i, share in enumerate(shares, 1)]
 
 
 def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
@@ -79,14 +98,19 @@ def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
     return np.asarray(10 / np.log(10) * (log(angle) - log(np.array(base))))
 
 
-def law_caption(survey: SurveyModel) -> str:
+def law_caption(survey: SurveyModel, sediments: Sequence[str] = ()) -> str:
     """Describe the estimated law, or say that the data do not constrain it."""
     if survey.apart:
         laws = [
-            f"law {i} ({100 * np.mean([p.weight for p in draws]):.0f} % of the cells): "
-            + _numbers(quantiles_of([p.shared for p in draws]))
-            for i, draws in enumerate(survey.found, 1)
+            f"{name}: {_numbers(quantiles_of([p.shared for p in draws]))}"
+            for name, draws in zip(law_names(survey, sediments), survey.found, strict=True)
         ]
+        if survey.sediments:
+            return (
+                "Scattering law sin(θ)^n exp(-c (θ - 90°)²) of each mapped sediment with enough "
+                "rippled cells; " + "; ".join(laws) + ". A sediment in which neither shadow nor a "
+                "range of grazing angles separates its law from the height has wide intervals."
+            )
         return (
             "Two scattering laws sin(θ)^n exp(-c (θ - 90°)²) are told apart; "
             + "; ".join(laws)

@@ -182,6 +182,7 @@ def _shared(survey: SurveyModel | None) -> dict[str, Any]:
 
 def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]) -> dict[str, Any]:
     """Collect the laws (statistic, sediment) that the survey tells apart."""
+    mapped = "laws of mapped classes" if survey.sediments else "laws told apart, not mapped classes"
     described = {
         "share": "share of the cells",
         "exponent": "exponent n of the scattering law, mean over the sediment",
@@ -189,17 +190,19 @@ def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]
     }
     columns = [summed([(p.weight, *p.shared.law) for p in draws]) for draws in survey.found]
     values = np.stack(columns, axis=1)
-    return {
+    laws: dict[str, Any] = {
         f"sediment_{name}": (
             ("statistic", "sediment"),
             values[..., i],
-            {
-                "units": "1",
-                "long_name": f"{about}; laws told apart, not mapped classes",
-            },
+            {"units": "1", "long_name": f"{about}; {mapped}"},
         )
         for i, (name, about) in enumerate(described.items())
     }
+    if survey.sediments:
+        about = {"long_name": "number of the mapped class, as in sediment_class.tif"}
+        numbers = np.array(survey.sediments, np.int8)
+        laws["sediment_class"] = ("sediment", numbers, about)
+    return laws
 
 
 def _meaning(band: Band) -> str:

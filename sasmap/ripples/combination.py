@@ -40,7 +40,7 @@ class _Draws(NamedTuple):
 
     Attributes
     ----------
-    weight : ndarray (V, P)
+    weight : ndarray (V, P, sediments)
     law, gain, shift : ndarray (V, P, 2)
         Mean of the law, its precision, and its bias from the echo shape.
     scatter : ndarray (V, P, D)
@@ -84,13 +84,12 @@ def after_each(
     """
     draws = _arrays(survey, looks.with_law, steepness)
     ends = np.flatnonzero(np.append(np.diff(looks.cell) != 0, True)) + 1
-    n, most = looks.cell.size, draws.weight.size * MOST_KEPT
+    n, most = looks.cell.size, draws.law[..., 0].size * MOST_KEPT
     weight, mean = np.zeros((n, most)), np.zeros((n, most, 3))
     covariance = np.empty((n, most, 3, 3))
     per_metre = looks.altitude_gain / looks.altitude
-    filled = _combine(
-        ends, looks.swath, per_metre, told_by(looks), draws, MOST_KEPT, weight, mean, covariance
-    )
+    places = looks.swath, looks.sediment, per_metre
+    filled = _combine(ends, places, told_by(looks), draws, MOST_KEPT, weight, mean, covariance)
     last = int(filled.max())
     covariance[np.arange(most) >= filled[:, None]] = np.eye(3)
     weight = weight[:, :last]
@@ -113,7 +112,7 @@ def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float])
         own = array([[of_look(s) ** 2 for s in draw] for draw in every])
         scatter = np.concatenate([scatter, own], axis=2)
     return _Draws(
-        np.array([[p.weight for p in draw] for draw in survey.draws]),
+        array([[p.within for p in draw] for draw in survey.draws]),
         array([[s.law for s in draw] for draw in every]),
         array([[s.spread**-2.0 for s in draw] for draw in every]),
         array([[s.shift for s in draw] for draw in every]),
@@ -127,8 +126,9 @@ def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _combine(ends, swath, per_metre, told, draws, most, weight, mean, covariance):  # type: ignore[no-untyped-def]
+def _combine(ends, places, told, draws, most, weight, mean, covariance):  # type: ignore[no-untyped-def]
     """Fill in the components after each look; returns how many there are (N,)."""
+    swath, sediment, per_metre = places
     size, populations = told.linear.shape[2], draws.weight.shape[1]
     looks, first = 1, 0
     for end in ends:
@@ -145,8 +145,17 @@ def _combine(ends, swath, per_metre, told, draws, most, weight, mean, covariance
         for v in range(draws.weight.shape[0]):
             _products(first, end, swath, per_metre, told, draws, v, most, states)
             for r in range(first, end):
+                shares = draws.weight[v, :, sediment[r]]
                 filled[r] = _components(
-                    r - first, states, draws, v, weight[r], mean[r], covariance[r], filled[r]
+                    r - first,
+                    states,
+                    draws,
+                    v,
+                    shares,
+                    weight[r],
+                    mean[r],
+                    covariance[r],
+                    filled[r],
                 )
         first = end
     return filled
@@ -198,7 +207,7 @@ def _products(first, end, swath, per_metre, told, draws, v, most, states):  # ty
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _components(number, states, draws, v, weight, mean, covariance, filled):  # type: ignore[no-untyped-def]
+def _components(number, states, draws, v, shares, weight, mean, covariance, filled):  # type: ignore[no-untyped-def]
     """Add components of draw v after look `number` of a cell, those with weight.
 
     A cell's law is of either population, by share and evidence. Returns how many are filled in.
@@ -210,13 +219,13 @@ def _components(number, states, draws, v, weight, mean, covariance, filled):  # 
     highest, total = -np.inf, 0.0
     for p in range(counts.shape[1]):
         for i in range(counts[number, p]):
-            highest = max(highest, heavies[number, p, i] + np.log(draws.weight[v, p]))
+            highest = max(highest, heavies[number, p, i] + np.log(shares[p]))
     for p in range(counts.shape[1]):
         for i in range(counts[number, p]):
-            total += draws.weight[v, p] * np.exp(heavies[number, p, i] - highest)
+            total += shares[p] * np.exp(heavies[number, p, i] - highest)
     for p in range(counts.shape[1]):
         for i in range(counts[number, p]):
-            share = draws.weight[v, p] * np.exp(heavies[number, p, i] - highest) / total
+            share = shares[p] * np.exp(heavies[number, p, i] - highest) / total
             if not share >= NEGLIGIBLE * len(draws.weight):
                 continue
             linear, precision = linears[number, p, i], precisions[number, p, i]

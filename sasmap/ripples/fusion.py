@@ -12,10 +12,12 @@ The published method passes a Gaussian of fixed width from look to look instead.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sasmap.ripples.agreement import agreeing, distances_of, together
 from sasmap.ripples.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
@@ -26,7 +28,7 @@ from sasmap.ripples.priors import Prior
 from sasmap.ripples.registration import Moves, left_over, registration
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
-from sasmap.ripples.survey import SurveyModel, learn
+from sasmap.ripples.survey import LEAST_LOOKS, MOST_SEDIMENTS, SurveyModel, learn, numbered
 
 # Standard deviations that Zare and Cobb (2013) set by hand: cycles/m and m.
 PUBLISHED_SD = (0.003, 0.17)
@@ -73,7 +75,10 @@ class FusedCell:
 
 
 def learn_survey(
-    cells: Sequence[Sequence[Summary | None]], settings: RippleSettings, seed: int = 0
+    cells: Sequence[Sequence[Summary | None]],
+    settings: RippleSettings,
+    seed: int = 0,
+    classes: Sequence[int] | None = None,
 ) -> SurveyModel:
     """Estimate the shared parameters of a survey; see :func:`sasmap.ripples.survey.learn`.
 
@@ -83,15 +88,34 @@ def learn_survey(
         Of each cell one per swath, None where it does not show the cell.
     settings : RippleSettings
     seed : int
+    classes : sequence of int, optional
+        Mapped sediment of each cell, from 1; 0 where it is of several or of none.
 
     Returns
     -------
     SurveyModel
     """
     swaths = max((len(c) for c in cells), default=0)
-    looks = None if settings.method == "zare-cobb" else collect(cells, _steepness(settings))
     scatter = None if settings.scatter is None else np.array(settings.scatter, float)
-    return learn(looks, swaths, scatter, seed)
+    if settings.method == "zare-cobb":
+        return learn(None, swaths, scatter, seed)
+    sediments = _with_laws(cells, classes)
+    looks = collect(cells, _steepness(settings), numbered(classes, sediments))
+    return learn(looks, swaths, scatter, seed, sediments)
+
+
+def _with_laws(
+    cells: Sequence[Sequence[Summary | None]], classes: Sequence[int] | None
+) -> tuple[int, ...]:
+    """Choose the mapped classes with enough good looks for a law of their own; none if one has."""
+    if classes is None:
+        return ()
+    count: Counter[int] = Counter()
+    for one, summaries in zip(classes, cells, strict=True):
+        count[one] += sum(s is not None and s.quality is Quality.GOOD for s in summaries)
+    enough = [one for one in sorted(count) if one and count[one] >= LEAST_LOOKS]
+    most = sorted(enough, key=lambda one: -count[one])[:MOST_SEDIMENTS]
+    return tuple(sorted(most)) if len(most) > 1 else ()
 
 
 def fuse(
@@ -107,6 +131,7 @@ def fuse_cells(
     cells: Sequence[Sequence[Summary | None]],
     settings: RippleSettings,
     survey: SurveyModel | None = None,
+    classes: Sequence[int] | None = None,
 ) -> list[FusedCell]:
     """Combine the looks at each cell.
 
@@ -117,6 +142,8 @@ def fuse_cells(
     settings : RippleSettings
     survey : SurveyModel, optional
         Shared parameters; estimated from these cells if not given.
+    classes : sequence of int, optional
+        Mapped sediment of each cell, as in :func:`learn_survey`.
 
     Returns
     -------
@@ -124,14 +151,17 @@ def fuse_cells(
     """
     if settings.method == "zare-cobb":
         return [_published(summaries, settings) for summaries in cells]
-    survey = survey or learn_survey(cells, settings)
+    survey = survey or learn_survey(cells, settings, classes=classes)
+    sediment = numbered(classes, survey.sediments)
     # cells whose looks have equally many components go together, so that there is little padding
     size = [max((len(s.mixture) for s in c if s is not None), default=0) for c in cells]
     order = np.argsort(size, kind="stable")
     found: dict[int, FusedCell] = {}
     for first in range(0, len(cells), CHUNK):
         part = [int(i) for i in order[first : first + CHUNK]]
-        found.update(zip(part, _fused([cells[i] for i in part], settings, survey), strict=True))
+        of_part = None if sediment is None else sediment[part]
+        fused = _fused([cells[i] for i in part], settings, survey, of_part)
+        found.update(zip(part, fused, strict=True))
     return _registered([found[i] for i in range(len(cells))])
 
 
@@ -169,9 +199,12 @@ def _registered(fused: list[FusedCell]) -> list[FusedCell]:
 
 
 def _fused(
-    cells: Sequence[Sequence[Summary | None]], settings: RippleSettings, survey: SurveyModel
+    cells: Sequence[Sequence[Summary | None]],
+    settings: RippleSettings,
+    survey: SurveyModel,
+    sediment: NDArray[np.int64] | None,
 ) -> list[FusedCell]:
-    looks = collect(cells, _steepness(settings))
+    looks = collect(cells, _steepness(settings), sediment)
     if looks is None:
         return [_assembled(s, (), {}, {}) for s in cells]
     distances, volumes = distances_of(looks, survey, _steepness(settings), len(cells))

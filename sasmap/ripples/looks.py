@@ -100,6 +100,8 @@ class Looks(NamedTuple):
     Attributes
     ----------
     cell, swath : ndarray of int (N,)
+    sediment : ndarray of int (N,)
+        Place of the cell's sediment among those with a law of their own, from 1; 0 for others.
     factor : Information (N, K)
         Likelihood over log f, log contrast, azimuth (degrees), n and c; where the law is fixed,
         over log f, log A_H and azimuth.
@@ -115,6 +117,7 @@ class Looks(NamedTuple):
 
     cell: NDArray[np.int64]
     swath: NDArray[np.int64]
+    sediment: NDArray[np.int64]
     factor: Information
     law: LawLikelihood | None
     tangent: FloatArray
@@ -136,7 +139,9 @@ class Looks(NamedTuple):
 
 
 def collect(
-    cells: Sequence[Sequence[Summary | None]], steepness: tuple[float, float]
+    cells: Sequence[Sequence[Summary | None]],
+    steepness: tuple[float, float],
+    sediments: NDArray[np.int64] | None = None,
 ) -> Looks | None:
     """Collect the good looks at cells as arrays.
 
@@ -147,6 +152,8 @@ def collect(
     steepness : tuple of float
         Sampling prior: median and log standard deviation of crest to trough over wavelength;
         infinite for none.
+    sediments : ndarray of int (cells,), optional
+        Of each cell, as :attr:`Looks.sediment`; all 0 if not given.
 
     Returns
     -------
@@ -185,6 +192,7 @@ def collect(
     return Looks(
         cell,
         swath,
+        np.zeros(n, np.int64) if sediments is None else sediments[cell],
         factor,
         law,
         tangent,

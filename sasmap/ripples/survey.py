@@ -5,10 +5,13 @@ parameters are estimated here from the looks' posteriors (Lunn, Barrett, Sweetin
 2013): the laws of two sediments with their spreads from look to look, altitude offset of each
 swath, and scatter between passes over one cell. Looks with shadow inform the law for looks without.
 
-A survey may cover two sediments. Laws are drawn from a mixture of two populations, each with its
-mean, spread, bias of the echo shape, and share of the cells. Where there is one sediment, the two
-coincide or one has no cells: the posterior of a mixture with more components than the data need
-empties or merges them (Rousseau and Mengersen 2011).
+A survey may cover several sediments. Laws are drawn from a mixture of populations, each with its
+mean, spread, bias of the echo shape, and share of the cells. Where the map has several sediments,
+each has a population of its own, and a cell is of that of its sediment but for an error of the map.
+Means of the populations are alike as those of one survey are, so that a sediment without shadow
+knows of its law what the others tell of it. Elsewhere there are two populations with unknown
+shares. Where there is one law, the two coincide or one has no cells: the posterior of a mixture
+with more components than the data need empties or merges them (Rousseau and Mengersen 2011).
 """
 
 from __future__ import annotations
@@ -67,6 +70,11 @@ MOST_LOOKS = 240
 # Populations of laws, and the scale of the prior of the logit of the share of one: nearly uniform
 # from 0 to 1. Distance in prior standard deviations of n from which a second maximum is sought.
 POPULATIONS, WEIGHT_SD, APART = 2, 1.7, 0.8
+# Mapped sediments: correlation of their laws (half of the variance between surveys is also one
+# between sediments of a survey: a choice), share of cells of another law than their sediment's
+# (errors of the map), fewest good looks for a population of its own and most populations (bounds
+# time); further sediments are of any.
+ALIKE, MISTAKEN, LEAST_LOOKS, MOST_SEDIMENTS = 0.5, 0.05, 4, 4
 # Two populations are told apart where their means differ by this many standard deviations (Ashman,
 # Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share of the
 # cells, in this share of the draws.
@@ -84,11 +92,15 @@ class Population(NamedTuple):
     Attributes
     ----------
     weight : float
+        Of all looks.
     shared : Shared
+    within : ndarray (sediments,)
+        Share within each sediment, as numbered in :attr:`Looks.sediment`.
     """
 
     weight: float
     shared: Shared
+    within: FloatArray = np.ones(1)
 
 
 Populations = tuple[Population, ...]
@@ -119,15 +131,19 @@ class SurveyModel(NamedTuple):
     learned : bool
         Whether the law was estimated rather than fixed by the settings.
     populations : tuple of tuple of Population
-        Of each draw, in increasing order of contrast; empty where `values` says all.
+        Of each draw, one for each of `sediments`, or in increasing order of contrast; empty where
+        `values` says all.
     apart : bool
-        Whether the draws tell two populations apart.
+        Whether the draws tell two populations apart, or there is one for each sediment.
+    sediments : tuple of int
+        Mapped classes with a law of their own.
     """
 
     values: tuple[Shared, ...]
     learned: bool
     populations: tuple[Populations, ...] = ()
     apart: bool = False
+    sediments: tuple[int, ...] = ()
 
     @property
     def draws(self) -> tuple[Populations, ...]:
@@ -159,6 +175,22 @@ class SurveyModel(NamedTuple):
         return quantiles_of(self.values, shares)
 
 
+def numbered(classes: Sequence[int] | None, sediments: tuple[int, ...]) -> NDArray[np.int64] | None:
+    """Return the place of cells' sediments among those with a law, from 1, or 0; None without.
+
+    Parameters
+    ----------
+    classes : sequence of int or None
+        Mapped class of each cell, 0 where it is of several or of none.
+    sediments : tuple of int
+        Classes that have a law of their own.
+    """
+    if classes is None:
+        return None
+    places = {one: k for k, one in enumerate(sediments, 1)}
+    return np.array([places.get(one, 0) for one in classes], np.int64)
+
+
 def quantiles_of(
     values: Sequence[Shared], shares: tuple[float, ...] = (0.05, 0.5, 0.95)
 ) -> dict[str, FloatArray]:
@@ -184,17 +216,28 @@ class _Layout:
         Fixed, or None where it is estimated.
     passes : bool
         Whether any cell has two looks.
+    cells : ndarray (1 + sediments,)
+        Looks at cells of no one sediment and of each.
     """
 
     def __init__(
-        self, law: bool, offset_sd: FloatArray, scatter: FloatArray | None, passes: bool
+        self,
+        law: bool,
+        offset_sd: FloatArray,
+        scatter: FloatArray | None,
+        passes: bool,
+        cells: FloatArray,
     ) -> None:
-        self.law, self.offset_sd, self.scatter = law, offset_sd, scatter
-        each = 2 * POPULATIONS * law
+        self.law, self.offset_sd, self.scatter, self.cells = law, offset_sd, scatter, cells
+        sediments = cells.size - 1
+        self.count = (sediments or POPULATIONS) if law else 1
+        alike = ALIKE if sediments else 0.0
+        self._root = np.linalg.cholesky(alike + (1 - alike) * np.eye(self.count))
+        each = 2 * self.count * law
         sizes = {
             "law": each,
             "spread": each,
-            "weight": (POPULATIONS - 1) * law,
+            "weight": int(law and not sediments),
             "share": int(law and passes),
             "scatter": 3 * int(passes and scatter is None),
             "shift": each,
@@ -223,15 +266,14 @@ class _Layout:
         scatter = self.scatter
         if scatter is None:
             scatter = np.exp(SCATTER_LOG + SCATTER_SD * at("scatter", 3))
-        count = POPULATIONS if self.law else 1
         law, spread, shift = (
-            at(name, 2 * count).reshape(count, 2) for name in ("law", "spread", "shift")
+            at(name, 2 * self.count).reshape(self.count, 2) for name in ("law", "spread", "shift")
         )
-        first = float(expit(WEIGHT_SD * at("weight", 1)[0])) if self.law else 1.0
+        law = self._root @ law
         of_look = float(expit(SHARE_LOGIT + SHARE_SD * at("share", 1)[0]))
         return tuple(
             Population(
-                weight,
+                float(within @ self.cells / self.cells.sum()),
                 Shared(
                     LAW_MEAN + np.sqrt(LAW_VARIANCE) * law[k],
                     np.minimum(np.exp(SPREAD_LOG + SPREAD_SD * spread[k]), most),
@@ -240,9 +282,22 @@ class _Layout:
                     scatter,
                     of_look,
                 ),
+                within,
             )
-            for k, weight in enumerate([first, 1 - first][:count])
+            for k, within in enumerate(self._shares(at("weight", 1)))
         )
+
+    def _shares(self, weight: FloatArray) -> FloatArray:
+        """Share of each population (populations, 1 + sediments) in the cells of each sediment."""
+        if self.count == 1:
+            return np.ones((1, self.cells.size))
+        if self.cells.size == 1:
+            first = float(expit(WEIGHT_SD * weight[0]))
+            return np.array([[first], [1 - first]])
+        others = MISTAKEN / (self.count - 1)
+        of_none = self.cells[1:] / self.cells[1:].sum()
+        own = np.where(np.eye(self.count, dtype=bool), 1 - MISTAKEN, others)
+        return np.column_stack([of_none, own])
 
     def split(self, point: FloatArray, apart: float) -> FloatArray:
         """Move the means of n of the two populations apart, and their shifts against them."""
@@ -264,6 +319,7 @@ def learn(
     swaths: int,
     scatter: FloatArray | None,
     seed: int,
+    sediments: tuple[int, ...] = (),
 ) -> SurveyModel:
     """Estimate the shared parameters of a survey's looks.
 
@@ -276,6 +332,8 @@ def learn(
         Fixed scatter between passes (log f, log A_H, degrees); None to estimate it.
     seed : int
         The same seed and looks give the same model to the bit.
+    sediments : tuple of int
+        Mapped classes that the looks are numbered by, from 1.
 
     Returns
     -------
@@ -285,7 +343,7 @@ def learn(
     rank = np.arange(swaths)
     if looks is not None:
         looks, rank = _in_order(looks, swaths)
-    layout = _layout(looks, swaths, scatter)
+    layout = _layout(looks, swaths, scatter, len(sediments))
     if layout.size == 0:
         first = layout.populations(np.zeros(0))[0].shared
         return SurveyModel((first,), False)  # offsets are all 0
@@ -302,7 +360,8 @@ def learn(
     states = particles[rng.permutation(len(particles))[:CHAINS]]
     chains = metropolis_hastings(log_density, proposal, particles, states, STEPS, rng)
     points = chains.draws[:, STEPS // 4 :].reshape(-1, layout.size)
-    return _model(points, layout, some, rank)
+    model = _model(points, layout, some, rank)
+    return model._replace(sediments=sediments) if layout.law else model
 
 
 def _peaks(layout: _Layout, log_density: LogDensity) -> list[tuple[FloatArray, FloatArray, float]]:
@@ -318,7 +377,7 @@ def _peaks(layout: _Layout, log_density: LogDensity) -> list[tuple[FloatArray, F
             bounds=[(-FARTHEST, FARTHEST)] * layout.size,
             options={"maxiter": CLIMB, "ftol": 1e-6, "eps": STEP},
         )
-        if layout.law and not peaks:
+        if layout.law and not peaks and layout.cells.size == 1:
             starts = [layout.split(reached.x, APART)]
         covariance = _covariance(reached.x, log_density)
         level = 0.5 * np.linalg.slogdet(covariance)[1] - float(reached.fun)
@@ -335,7 +394,8 @@ def _model(
     key = points[:, 0]
     if layout.law and looks is not None:
         tangent = float(np.median(looks.tangent))
-        draws = [tuple(sorted(d, key=lambda p: _contrast(p, tangent))) for d in draws]
+        if layout.cells.size == 1:
+            draws = [tuple(sorted(d, key=lambda p: _contrast(p, tangent))) for d in draws]
         key = log_contrast(np.array([merged(d).law for d in draws]), tangent)
     order = np.argsort(key, kind="stable")
     chosen = order[((np.arange(VALUES) + 0.5) * len(order) / VALUES).astype(int)]
@@ -343,7 +403,8 @@ def _model(
         tuple(p._replace(shared=p.shared._replace(offset=p.shared.offset[rank])) for p in draws[i])
         for i in chosen
     ]
-    apart = layout.law and looks is not None and _told_apart(draws, tangent)
+    apart = layout.law and looks is not None
+    apart = apart and (layout.cells.size > 1 or _told_apart(draws, tangent))
     return SurveyModel(
         tuple(merged(d) for d in kept), layout.law, tuple(kept) if layout.law else (), apart
     )
@@ -383,16 +444,19 @@ def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
     return numbered.some(np.lexsort([numbered.swath, numbered.cell])), rank
 
 
-def _layout(looks: Looks | None, swaths: int, scatter: FloatArray | None) -> _Layout:
+def _layout(
+    looks: Looks | None, swaths: int, scatter: FloatArray | None, sediments: int
+) -> _Layout:
     offset_sd = np.zeros(swaths)
     if looks is None:
-        return _Layout(False, offset_sd, scatter, False)
+        return _Layout(False, offset_sd, scatter, False, np.ones(1 + sediments))
     for k in range(swaths):
         here = looks.swath == k
         if here.any() and np.abs(looks.altitude_gain[here]).max() > 0:
             offset_sd[k] = looks.altitude_sd[here].max()
     _, count = np.unique(looks.cell, return_counts=True)
-    return _Layout(looks.with_law, offset_sd, scatter, bool(count.max() > 1))
+    cells = np.bincount(looks.sediment, minlength=1 + sediments).astype(float)
+    return _Layout(looks.with_law, offset_sd, scatter, bool(count.max() > 1), cells)
 
 
 def _thinned(looks: Looks) -> Looks:
@@ -409,7 +473,10 @@ def _log_posterior(point: FloatArray, layout: _Layout, cells: _Cells | None) -> 
     value = layout.log_prior(point)
     if cells is None:
         return value
-    each = [np.log(p.weight) + cells.evidence(p.shared) for p in layout.populations(point)]
+    each = [
+        np.log(p.within)[cells.sediment] + cells.evidence(p.shared)
+        for p in layout.populations(point)
+    ]
     return value + float(np.logaddexp.reduce(each).sum())
 
 
@@ -432,6 +499,7 @@ class _Cells:
             self.law = LawLikelihood(*(v[~several] for v in looks.law))
         self.looks = looks.some(np.flatnonzero(several))
         self.ends = np.cumsum(count[count > 1])
+        self.sediment = looks.sediment[np.cumsum(count) - 1]
         # passes that differ say nothing of what is shared: their evidence is that of any law
         nothing = np.zeros(int(looks.swath.max()) + 1)
         whole = MOST_SPREAD * np.sqrt(LAW_VARIANCE)

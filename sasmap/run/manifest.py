@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -92,19 +93,20 @@ def law_record(
         return None
     quantiles = survey.quantiles()
     found = survey.found if survey.learned else ()
-    sediments = [
+    laws = [
         {
+            **({"sediment": number} if number else {}),
             "share_of_cells": float(np.mean([p.weight for p in draws])),
             **_law(quantiles_of([p.shared for p in draws])),
         }
-        for draws in found
+        for number, draws in zip_longest(survey.sediments, found)
     ]
     return {
         "form": "intensity = sin(grazing)^exponent exp(-concentration (grazing - pi/2)^2)",
         "learned": survey.learned,
         **_told(settings),
         **(_law(quantiles) if survey.learned else {}),
-        "laws_told_apart": sediments if survey.apart else [],
+        "laws_told_apart": laws if survey.apart else [],
         "lambert": {"exponent": 2.0, "concentration": 0.0},
         "zare_cobb": {"exponent": 0.0, "concentration": 3 / math.pi},
         "shift_by_shape": list(quantiles["shift"][1]),

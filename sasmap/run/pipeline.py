@@ -21,17 +21,17 @@ from sasmap.products.qgis.project import Titles, write_styles
 from sasmap.products.qgis.styles import categories
 from sasmap.products.ripples import write_cells, write_ripple_rasters
 from sasmap.products.stac import write_stac
-from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
 from sasmap.run.answers import summary_lines
 from sasmap.run.bands import bands_or_ripples
+from sasmap.run.combining import combine_cells
 from sasmap.run.cost import check_fits, compiled
 from sasmap.run.extent_stage import write_ripple_extent
 from sasmap.run.lock import LOCK, locked
 from sasmap.run.manifest import Clock, Outcome, write_manifest
 from sasmap.run.mosaic import write_mosaic
-from sasmap.run.overlaps import apart, blended, sharing
+from sasmap.run.overlaps import blended, sharing
 from sasmap.run.plan import Plan, Swath, dates_of, make_plan, recorded, tags_of
 from sasmap.run.reporting import make_report
 from sasmap.run.scheduling import check_workers, cluster, compute
@@ -118,9 +118,6 @@ def _make_products(
     progress: Callable[[str, int, int], None] | None,
 ) -> None:
     survey = plan.settings
-    if survey.ripples is not None:
-        with clock.stage("products"):
-            _write_ripples(plan, store, outcome)
     if survey.sediments is not None:
         log.info("sediments")
         with clock.stage("sediments"):
@@ -130,6 +127,10 @@ def _make_products(
                 "sediments",
                 lambda: sediment_stage(plan, store, outcome, workers, told, client),
             )
+    if survey.ripples is not None:  # after the sediments, which tell cells of one law
+        with clock.stage("products"):
+            combine_cells(plan, outcome)
+            _write_ripples(plan, store, outcome)
     log.info("mosaic")
     with clock.stage("mosaic"):
         _attempt(outcome, "mosaic.tif", lambda: write_mosaic(plan, store, workers))
@@ -205,8 +206,6 @@ def _estimate_cells(
     client: Any,
     progress: Callable[[str, int, int], None] | None,
 ) -> None:
-    settings = plan.settings.ripples
-    assert settings is not None
     plan = plan.ripples
     cells = list(plan.cells)
     log.info("%d cells, %d looks at them", len(cells), sum(map(len, plan.cells.values())))
@@ -228,11 +227,6 @@ def _estimate_cells(
                 outcome.failures.append(_failure(cell, plan.swaths[k], result.fault))
         outcome.cells[cell.row, cell.column] = summaries
         outcome.keys[cell.row, cell.column] = keys
-    every = list(outcome.cells.values())
-    some = [outcome.cells[cell] for cell in apart(plan, outcome.cells)]
-    outcome.survey = learn_survey(some, settings, plan.settings.seed)
-    fused = fuse_cells(every, settings, outcome.survey)
-    outcome.fused = dict(zip(outcome.cells, fused, strict=True))
 
 
 def _failure(cell: Cell, look: Swath, fault: str) -> dict[str, Any]:

@@ -69,7 +69,9 @@ def make_report(plan: Plan, store: Store, outcome: Outcome, names: Categories) -
         "quality": _quality(outcome),
         "ripple_words": ripple_words(outcome),
         "ripple_maps": list(_ripple_maps(store, written, names)),
-        "law": law_figure(outcome.survey, grazing_of(outcome)),
+        "law": law_figure(
+            outcome.survey, grazing_of(outcome), [one["name"] for one in outcome.sediments]
+        ),
         "migration": list(_migration(plan, outcome)),
         "growth": growth_figure(list(outcome.fused.values()), [s.label for s in plan.swaths]),
         "cells": list(cell_details(plan, store, outcome)),

@@ -46,8 +46,11 @@ def test_two_laws_that_are_told_apart_are_both_drawn():
     )
     survey = SurveyModel(tuple(merged(p) for p in pairs), True, pairs, True)
     caption = law_caption(survey)
-    assert "law 1 (30 % of the cells): n 2.0" in caption
-    assert "law 2 (70 % of the cells): n 3.0" in caption
+    assert "law 1, 30 % of the cells: n 2.0" in caption
+    assert "law 2, 70 % of the cells: n 3.0" in caption
+    mapped = law_caption(survey._replace(sediments=(1, 3)), ["mud", "sand", "gravel"])
+    assert "mud: n 2.0" in mapped
+    assert "gravel: n 3.0" in mapped
     alone = survey._replace(apart=False)
     assert "law 2" not in law_caption(alone)
     ranges = (6.0, 25.0)

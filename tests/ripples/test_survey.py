@@ -198,6 +198,67 @@ def test_two_sediments_of_unlike_laws_widen_the_spread():
     assert ((low < truth) & (truth < high)).mean() >= 0.8
 
 
+def inside(fused, truth):
+    return np.array(
+        [c.final.q05[1] < t < c.final.q95[1] for c, t in zip(fused, truth, strict=True)]
+    )
+
+
+def two_sediments(shadowed=(15, 15)):
+    first, truth = survey(10, 50, shadowed[0], law=(1.8, 0.1))
+    second, other = survey(11, 50, shadowed[1], law=(3.0, 0.1))
+    return first + second, np.concatenate([truth, other]), [1] * 50 + [2] * 50
+
+
+def test_mapped_sediments_tell_which_law_a_cell_without_shadow_has():
+    cells, truth, classes = two_sediments()
+    model = learn_survey(cells, SETTINGS, 1, classes)
+    assert model.apart
+    assert model.sediments == (1, 2)
+    tangent = np.tan(np.radians(18))
+    for draws, n in zip(model.found, (1.8, 3.0), strict=True):
+        found = [log_contrast(p.shared.law, tangent) for p in draws]
+        assert np.mean(found) == pytest.approx(log_contrast(np.array([n, 0.1]), tangent), abs=0.1)
+    widths = []
+    for told in (classes, None):
+        model = learn_survey(cells, SETTINGS, 1, told)
+        fused = fuse_cells(cells, SETTINGS, model, told)
+        assert inside(fused, truth).mean() >= 0.8
+        width = np.array([c.final.q95[1] - c.final.q05[1] for c in fused]) / truth
+        widths.append(np.median(width[np.r_[15:50, 65:100]]))
+    assert widths[0] < 0.8 * widths[1]
+
+
+def test_classes_that_have_one_law_and_cells_of_a_wrong_class_do_no_harm():
+    cells, truth = survey(2, 80, 20)
+    by_turns = [1 + i % 3 for i in range(80)]
+    model = learn_survey(cells, SETTINGS, 1, by_turns)
+    assert len(model.found) == 3
+    fused = fuse_cells(cells, SETTINGS, model, by_turns)
+    assert inside(fused, truth).mean() >= 0.8
+    cells, truth, classes = two_sediments()
+    wrong = [3 - c if i % 10 == 3 else c for i, c in enumerate(classes)]
+    fused = fuse_cells(cells, SETTINGS, learn_survey(cells, SETTINGS, 1, wrong), wrong)
+    assert inside(fused, truth).mean() >= 0.8
+
+
+def test_a_sediment_without_shadow_does_not_take_over_the_law_of_another():
+    cells, truth, classes = two_sediments((0, 15))
+    fused = fuse_cells(cells, SETTINGS, learn_survey(cells, SETTINGS, 1))
+    assert inside(fused, truth)[:50].mean() < 0.5  # the map is needed
+    model = learn_survey(cells, SETTINGS, 1, classes)
+    fused = fuse_cells(cells, SETTINGS, model, classes)
+    assert inside(fused, truth).mean() >= 0.8
+
+
+def test_one_mapped_sediment_and_few_cells_of_another_change_nothing():
+    cells, _ = survey(2, 40, 10)
+    told = [1] * 37 + [2] * 3
+    model = learn_survey(cells, SETTINGS, 1, told)
+    assert model.sediments == ()
+    assert fuse_cells(cells, SETTINGS, model, told) == fuse_cells(cells, SETTINGS, model)
+
+
 def test_a_wrong_altitude_of_one_pass_is_found():
     cells, truth = survey(4, 40, 40, passes=3, errors=np.array([0.0, 0.0, -0.03]))
     model = learn_survey(cells, SETTINGS, 1)

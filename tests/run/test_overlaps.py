@@ -13,7 +13,7 @@ from affine import Affine
 import sasmap
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.summary import Summary
-from sasmap.run import pipeline
+from sasmap.run import combining
 from sasmap.run.cost import cost_of
 from sasmap.run.overlaps import apart, blended, covered, met, sharing
 from sasmap.run.pipeline import run_survey
@@ -47,11 +47,11 @@ def found(tmp_path_factory):
         learned.append(len(cells))
         return original(cells, *rest)
 
-    original, pipeline.learn_survey = pipeline.learn_survey, learn
+    original, combining.learn_survey = combining.learn_survey, learn
     try:
         outcome = run_survey(sasmap.load_survey(path), workers=1)
     finally:
-        pipeline.learn_survey = original
+        combining.learn_survey = original
     assert outcome.failures == []
     return path.parent / "out", outcome, learned
 

@@ -194,14 +194,14 @@ def test_killed_in_the_second_stage_and_resumed_gives_the_same_bytes(sample, tmp
     output, _ = sample
     script = (
         "import os, signal, sasmap\n"
-        "from sasmap.run import pipeline\n"
-        "pipeline.fuse_cells = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "from sasmap.run import combining, pipeline\n"
+        "combining.fuse_cells = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"survey = sasmap.load_survey({str(SAMPLE / 'survey.yaml')!r})\n"
         f"pipeline.run_survey(survey, output={str(tmp_path)!r}, workers=1)\n"
     )
     killed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert not list(tmp_path.glob("*.tif"))
+    assert not list(tmp_path.glob("ripple_*.tif"))
     resumed = run_survey(sasmap.load_survey(SAMPLE / "survey.yaml"), output=tmp_path, workers=2)
     assert (resumed.computed, resumed.kept) == (0, 12)
     assert products(tmp_path) == products(output)

@@ -1,0 +1,81 @@
+"""The second stage of the ripple estimate: what the survey shares, and each cell under it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from rasterio.windows import from_bounds
+
+from sasmap.ripples.fusion import fuse_cells, learn_survey
+from sasmap.run.manifest import Outcome
+from sasmap.run.overlaps import Place, apart
+from sasmap.run.plan import Plan
+from sasmap.survey.cells import Cell, CellGrid
+
+# Pixels across a cell at which the map is read, and the share of them that a class must have for
+# the cell to be its own (choices: overviews suffice, and a boundary may cross a corner).
+ACROSS, MOSTLY = 32, 0.8
+
+
+def combine_cells(plan: Plan, outcome: Outcome) -> None:
+    """Estimate what the looks of a survey share and combine those at each cell under it.
+
+    Parameters
+    ----------
+    plan : Plan
+    outcome : Outcome
+        With the looks at each cell, and the mapped sediments where there are any; filled in.
+    """
+    settings = plan.settings.ripples
+    assert settings is not None
+    plan = plan.ripples
+    classes = dict.fromkeys(outcome.cells, 0)
+    mapped = [path for path in outcome.written if path.name == "sediment_class.tif"]
+    if mapped:
+        names = [one["number"] for one in outcome.sediments if one["law"] is not None]
+        classes = classes_of_cells(mapped[0], plan.opened.grid, outcome.cells, len(names))
+    some = apart(plan, outcome.cells)
+    outcome.survey = learn_survey(
+        [outcome.cells[cell] for cell in some],
+        settings,
+        plan.settings.seed,
+        [classes[cell] for cell in some],
+    )
+    fused = fuse_cells(
+        list(outcome.cells.values()), settings, outcome.survey, list(classes.values())
+    )
+    outcome.fused = dict(zip(outcome.cells, fused, strict=True))
+
+
+def classes_of_cells(
+    path: Path, grid: CellGrid, cells: Iterable[Place], sediments: int
+) -> dict[Place, int]:
+    """Read which sediment each cell is of.
+
+    Parameters
+    ----------
+    path : Path
+        The map: classes numbered from 1.
+    grid : CellGrid
+    cells : iterable of (row, column)
+    sediments : int
+        Number of classes that are sediments; objects have a larger number.
+
+    Returns
+    -------
+    dict of (row, column) to int
+        0 where no sediment has nearly all of the cell.
+    """
+    found = {}
+    with rasterio.open(path) as source:
+        for cell in cells:
+            window = from_bounds(*grid.bounds(Cell(*cell)), source.transform)
+            codes = source.read(1, window=window, out_shape=(ACROSS, ACROSS))
+            count = np.bincount(codes.ravel(), minlength=sediments + 1)[1 : sediments + 1]
+            most = int(np.argmax(count)) if sediments else 0
+            pure = count.any() and count[most] >= MOSTLY * codes.size
+            found[cell] = most + 1 if pure else 0
+    return found
