@@ -83,7 +83,9 @@ class Unclear(StrEnum):
 
     WAVES = "too few wavelengths in the window: choose a larger one"
     PIXELS = "too few pixels per wavelength: use tiles of finer pixels, or bound the frequency"
-    ALONG = "seen along the crests, or gain that varies along the track: add a pass on another heading"
+    ALONG = (
+        "seen along the crests, or gain that varies along the track: add a pass on another heading"
+    )
 
 
 class Wave(NamedTuple):

@@ -7,9 +7,8 @@ swath, and scatter between passes over one cell. Looks with shadow inform the la
 
 A survey may cover several sediments. Laws are drawn from a mixture of populations, each with its
 mean, spread, bias of the echo shape, and share of the cells. Where the map has several sediments,
-each has a population of its own, and a cell is of that of its sediment but for an error of the map.
-Means of the populations are alike as those of one survey are, so that a sediment without shadow
-knows of its law what the others tell of it. Elsewhere there are two populations with unknown
+each has a population of its own, and a cell is of that of its sediment but for an error of the map:
+a sediment without shadow has the law of no other. Elsewhere there are two populations with unknown
 shares. Where there is one law, the two coincide or one has no cells: the posterior of a mixture
 with more components than the data need empties or merges them (Rousseau and Mengersen 2011).
 """
@@ -70,11 +69,10 @@ MOST_LOOKS = 240
 # Populations of laws, and the scale of the prior of the logit of the share of one: nearly uniform
 # from 0 to 1. Distance in prior standard deviations of n from which a second maximum is sought.
 POPULATIONS, WEIGHT_SD, APART = 2, 1.7, 0.8
-# Mapped sediments: correlation of their laws (half of the variance between surveys is also one
-# between sediments of a survey: a choice), share of cells of another law than their sediment's
-# (errors of the map), fewest good looks for a population of its own and most populations (bounds
-# time); further sediments are of any.
-ALIKE, MISTAKEN, LEAST_LOOKS, MOST_SEDIMENTS = 0.5, 0.05, 4, 4
+# Mapped sediments: share of cells of another law than their sediment's (errors of the map: a
+# choice), fewest good looks for a population of its own and most populations (bounds time); further
+# sediments are of any.
+MISTAKEN, LEAST_LOOKS, MOST_SEDIMENTS = 0.05, 4, 4
 # Two populations are told apart where their means differ by this many standard deviations (Ashman,
 # Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share of the
 # cells, in this share of the draws.
@@ -231,8 +229,6 @@ class _Layout:
         self.law, self.offset_sd, self.scatter, self.cells = law, offset_sd, scatter, cells
         sediments = cells.size - 1
         self.count = (sediments or POPULATIONS) if law else 1
-        alike = ALIKE if sediments else 0.0
-        self._root = np.linalg.cholesky(alike + (1 - alike) * np.eye(self.count))
         each = 2 * self.count * law
         sizes = {
             "law": each,
@@ -269,7 +265,6 @@ class _Layout:
         law, spread, shift = (
             at(name, 2 * self.count).reshape(self.count, 2) for name in ("law", "spread", "shift")
         )
-        law = self._root @ law
         of_look = float(expit(SHARE_LOGIT + SHARE_SD * at("share", 1)[0]))
         return tuple(
             Population(
