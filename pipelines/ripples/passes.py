@@ -46,6 +46,7 @@ CHANGES = {
 }
 WRONG_ALTITUDE, STATED = 0.97, 0.3  # of the true altitude; its stated accuracy, m
 FALSE_PART = 4  # one cell in so many has a false pass
+SURE = 0.06  # sd over A_H of looks of which a difference of 30 % is clear
 
 
 def table_run(seed: int, method: str) -> np.ndarray:
@@ -206,7 +207,7 @@ def headings(surveys: list[list[Cell]]) -> None:
 def false_passes(surveys: list[list[Cell]]) -> None:
     """Print how many passes over another sea floor are found, one cell in four at a time."""
     for name in CHANGES:
-        flagged, told = [], []
+        flagged, told, sure = [], [], []
         for survey in surveys:
             for part in range(FALSE_PART):
                 mixed = [list(c.summaries) for c in survey]
@@ -218,9 +219,13 @@ def false_passes(surveys: list[list[Cell]]) -> None:
                     if all(both) and sum(s.quality is Quality.GOOD for s in c.summaries) > 2:
                         flagged.append(chain.qualities[1] is Quality.CONTRADICTION)
                         told.append(chain.quality is Quality.CONTRADICTION)
+                        known_by = [s.sd[1] / s.mean[1] for s in (c.summaries[0], *c.summaries[2:])]
+                        false = c.others[name]
+                        sure.append(max(false.sd[1] / false.mean[1], np.nanmin(known_by)) < SURE)
         print(
             f"  passes of another floor, {name}: {sum(flagged)} of {len(flagged)} named, "
-            f"{sum(told)} of {len(told)} cells flagged",
+            f"{sum(told)} of {len(told)} cells flagged; of {sum(sure)} where this look and another "
+            f"tell A_H to {100 * SURE:.0f} %, {sum(np.logical_and(told, sure))}",
             flush=True,
         )
 

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.ripples.evidence import MOST_KEPT, with_prior
 from sasmap.ripples.heights import of_look, to_height, told_by
 from sasmap.ripples.information import (
     Information,
@@ -27,7 +28,7 @@ from sasmap.ripples.information import (
 )
 from sasmap.ripples.looks import NONE, Looks, law_factor, steepness_factor
 from sasmap.ripples.mixture import weighted
-from sasmap.ripples.survey import MOST_KEPT, SurveyModel, with_prior
+from sasmap.ripples.survey import SurveyModel
 
 FloatArray = NDArray[np.float64]
 

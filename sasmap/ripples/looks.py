@@ -67,6 +67,8 @@ class Shared(NamedTuple):
     of_look : float
         Share of the law's variance from look to look within a cell: a law outside the family
         resembles another member of it at every angle.
+    odd : float
+        Share of the cells whose passes differ.
     """
 
     law: FloatArray
@@ -75,6 +77,7 @@ class Shared(NamedTuple):
     offset: FloatArray
     scatter: FloatArray
     of_look: float
+    odd: float
 
 
 class LawLikelihood(NamedTuple):

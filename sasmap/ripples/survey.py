@@ -23,18 +23,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from sasmap.ripples.heights import at_height
-from sasmap.ripples.information import Information, products
+from sasmap.ripples.evidence import MOST_SPREAD, SCATTER, SHARE_LOGIT, CellEvidence
 from sasmap.ripples.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
-    LEAST_LEVEL,
     SHIFT_SD,
-    LawLikelihood,
     Looks,
     Shared,
-    evidence_of_law,
-    law_factor,
 )
 from sasmap.ripples.sampler import (
     LogDensity,
@@ -49,18 +44,12 @@ FloatArray = NDArray[np.float64]
 # Prior of the log spread of the law (n, c) from look to look: mean and standard deviation.
 # Sediments of one survey differ by a few tenths of n (Jackson and Richardson 2007, chapter 12).
 SPREAD_LOG, SPREAD_SD = np.log([0.25, 0.12]), 0.7
-# Largest spread over the prior standard deviation of the law.
-MOST_SPREAD = 0.95
-# Prior of the log scatter between passes, of log f, log A_H and azimuth (degrees): mean and
-# standard deviation (choices: small beside the error of a look, and wide).
-SCATTER_LOG, SCATTER_SD = np.log([3e-4, 0.01, 0.1]), np.array([1.0, 0.8, 0.8])
-# Prior of the logit of the share of the law's variance from look to look within a cell: about one
-# in five.
-SHARE_LOGIT, SHARE_SD = -1.4, 1.0
-# Differing passes: probability, and their scatter (choices: rare, and wide enough to be harmless).
-ODD, ODD_SCATTER = 0.03, np.array([0.15, 0.4, 10.0])
-# Most components kept in a product of looks: bounds time and memory.
-MOST_KEPT = 6
+# Standard deviation of the prior of the log scatter between passes (a choice: wide).
+SCATTER_SD = np.array([1.0, 0.8, 0.8])
+# Standard deviation of the prior of the logit of the share of the law's variance from look to look.
+SHARE_SD = 1.0
+# Prior of the logit of the share of cells whose passes differ: 3 %, 1 to 10 (a choice: rare).
+ODD_LOGIT, ODD_SD = -3.5, 1.2
 # Degrees of freedom of the priors of altitude offsets and of the bias from the echo shape: heavier
 # tails than a Gaussian.
 FREEDOM = 4.0
@@ -77,8 +66,6 @@ MISTAKEN, LEAST_LOOKS, MOST_SEDIMENTS = 0.05, 4, 4
 # Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share of the
 # cells, in this share of the draws.
 SEPARATION, LEAST_WEIGHT, SURE = 2.0, 0.1, 0.95
-# Evidences of the cells that are kept: bounds memory, and more than the steps of a derivative.
-REMEMBERED = 512
 # Step of numerical derivatives; iterations of the ascent and its largest step, in prior standard
 # deviations; chains and their steps; number of draws that represent the posterior.
 STEP, CLIMB, FARTHEST, CHAINS, STEPS, VALUES = 1e-2, 40, 5.0, 4, 60, 24
@@ -235,6 +222,7 @@ class _Layout:
             "spread": each,
             "weight": int(law and not sediments),
             "share": int(law and passes),
+            "odd": int(passes),
             "scatter": 3 * int(passes and scatter is None),
             "shift": each,
             "offset": int((offset_sd > 0).sum()),
@@ -261,11 +249,12 @@ class _Layout:
         offset[free] = point[self.place["offset"]] * self.offset_sd[free]
         scatter = self.scatter
         if scatter is None:
-            scatter = np.exp(SCATTER_LOG + SCATTER_SD * at("scatter", 3))
+            scatter = SCATTER * np.exp(SCATTER_SD * at("scatter", 3))
         law, spread, shift = (
             at(name, 2 * self.count).reshape(self.count, 2) for name in ("law", "spread", "shift")
         )
         of_look = float(expit(SHARE_LOGIT + SHARE_SD * at("share", 1)[0]))
+        odd = float(expit(ODD_LOGIT + ODD_SD * at("odd", 1)[0]))
         return tuple(
             Population(
                 float(within @ self.cells / self.cells.sum()),
@@ -276,6 +265,7 @@ class _Layout:
                     offset,
                     scatter,
                     of_look,
+                    odd,
                 ),
                 within,
             )
@@ -344,7 +334,7 @@ def learn(
         return SurveyModel((first,), False)  # offsets are all 0
     some = None if looks is None else _thinned(looks)
 
-    cells = None if some is None else _Cells(some)
+    cells = None if some is None else CellEvidence(some)
 
     def log_density(points: FloatArray) -> FloatArray:
         values = [_log_posterior(np.clip(p, -9.0, 9.0), layout, cells) for p in points]
@@ -464,7 +454,7 @@ def _thinned(looks: Looks) -> Looks:
     return looks.some(np.flatnonzero(np.isin(looks.cell, chosen)))
 
 
-def _log_posterior(point: FloatArray, layout: _Layout, cells: _Cells | None) -> float:
+def _log_posterior(point: FloatArray, layout: _Layout, cells: CellEvidence | None) -> float:
     value = layout.log_prior(point)
     if cells is None:
         return value
@@ -473,71 +463,6 @@ def _log_posterior(point: FloatArray, layout: _Layout, cells: _Cells | None) -> 
         for p in layout.populations(point)
     ]
     return value + float(np.logaddexp.reduce(each).sum())
-
-
-class _Cells:
-    """Evidence of cells as a function of the shared parameters.
-
-    Parameters
-    ----------
-    looks : Looks
-        Sorted by cell.
-    """
-
-    def __init__(self, looks: Looks) -> None:
-        _, cell, count = np.unique(looks.cell, return_inverse=True, return_counts=True)
-        several = count[cell] > 1
-        self.size = count.size
-        self.single, self.multiple = np.flatnonzero(count == 1), np.flatnonzero(count > 1)
-        self.law = None
-        if looks.law is not None and self.single.size:
-            self.law = LawLikelihood(*(v[~several] for v in looks.law))
-        self.looks = looks.some(np.flatnonzero(several))
-        self.ends = np.cumsum(count[count > 1])
-        self.sediment = looks.sediment[np.cumsum(count) - 1]
-        # passes that differ say nothing of what is shared: their evidence is that of any law
-        nothing = np.zeros(int(looks.swath.max()) + 1)
-        whole = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
-        any_law = Shared(LAW_MEAN, whole, np.zeros(2), nothing, ODD_SCATTER, expit(SHARE_LOGIT))
-        self._known: dict[bytes, FloatArray] = {}
-        self.odd = self._together(any_law) + np.log(ODD)
-
-    def evidence(self, shared: Shared) -> FloatArray:
-        """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
-
-        The last results are kept: numerical derivatives change one population at a time.
-
-        The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey,
-        so the steepness of many cells is not independent evidence about the law. A cell may have
-        differing passes.
-        """
-        key = np.concatenate([np.ravel(v) for v in shared]).tobytes()
-        if key in self._known:
-            return self._known[key]
-        every = np.zeros(self.size)
-        if self.law is not None:
-            every[self.single] = evidence_of_law(self.law, shared)
-        if self.multiple.size:
-            honest = self._together(shared) + np.log1p(-ODD)
-            every[self.multiple] = np.logaddexp(honest, self.odd)
-        if len(self._known) == REMEMBERED:
-            del self._known[next(iter(self._known))]
-        self._known[key] = every
-        return every
-
-    def _together(self, shared: Shared) -> FloatArray:
-        """Log evidence of the cells of several looks."""
-        if not self.multiple.size:
-            return np.zeros(0)
-        scatter = np.broadcast_to(shared.scatter, (self.looks.cell.size, 3))
-        factor = at_height(self.looks, shared, scatter)
-        prior = law_factor(shared, self.looks.with_law)
-        return np.maximum(products(factor, self.ends, prior, MOST_KEPT), LEAST_LEVEL)
-
-
-def with_prior(total: Information, prior: Information) -> Information:
-    """Multiply looks by a prior of one component."""
-    return Information(*(a + b for a, b in zip(total, prior, strict=True)))
 
 
 def _covariance(point: FloatArray, log_density: LogDensity) -> FloatArray:

@@ -10,7 +10,7 @@ def model(sd, learned=True):
     rng = np.random.default_rng(1)
     laws = np.array([2.0, 0.1]) + sd * rng.standard_normal((24, 2))
     values = [
-        Shared(law, np.full(2, 0.1), np.zeros(2), np.zeros(1), np.full(3, 0.01), 0.2)
+        Shared(law, np.full(2, 0.1), np.zeros(2), np.zeros(1), np.full(3, 0.01), 0.2, 0.03)
         for law in laws
     ]
     return SurveyModel(tuple(values), learned)

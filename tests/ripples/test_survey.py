@@ -8,6 +8,7 @@ from scipy import stats
 
 from sasmap.ripples import RippleSettings
 from sasmap.ripples.agreement import agreeing, distances_of, together
+from sasmap.ripples.evidence import with_prior
 from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.heights import without_scatter
 from sasmap.ripples.information import Information, moments, products, widened
@@ -25,7 +26,7 @@ from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import contrast_per_slope
 from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
-from sasmap.ripples.survey import SurveyModel, with_prior
+from sasmap.ripples.survey import SurveyModel
 
 SETTINGS = RippleSettings()
 ALTITUDE = 5.0
@@ -291,10 +292,26 @@ def test_honest_passes_agree_and_false_ones_do_not():
     assert all(c.qualities[1] is Quality.CONTRADICTION for c in fused[:20])
 
 
+def test_many_passes_of_another_height_do_not_hide_themselves_in_the_scatter():
+    cells, truth = survey(5, 40, 20, passes=4)
+    rng = np.random.default_rng(7)
+    for row, height in zip(cells[:20:2], truth[:20:2], strict=True):
+        row[1] = seen(rng, row[0].mean[0], 1.3 * height, np.array([2.2, 0.1]), 15, True)
+    model = learn_survey(cells, SETTINGS, 1)
+    assert model.middle.scatter[1] < 0.03
+    assert 0.1 < model.middle.odd < 0.5
+    fused = fuse_cells(cells, SETTINGS, model)
+    found = [c.quality is Quality.CONTRADICTION for c in fused]
+    assert np.mean(found[:20:2]) >= 0.9
+    assert sum(found[1:20:2] + found[20:]) <= 1
+
+
 def test_a_look_is_compared_with_all_others_together():
     rng = np.random.default_rng(13)
     law = np.array([2.2, 0.1])
-    known = Shared(law, np.array([0.1, 0.05]), np.zeros(2), np.zeros(4), np.full(3, 1e-3), 0.1)
+    known = Shared(
+        law, np.array([0.1, 0.05]), np.zeros(2), np.zeros(4), np.full(3, 1e-3), 0.1, 0.03
+    )
     model = SurveyModel((known,), True)
     honest = [[seen(rng, 0.8, 0.05, law, 15, False) for _ in range(4)] for _ in range(40)]
     false = [[seen(rng, 0.8, 0.065, law, 15, False), *looks[1:]] for looks in honest]
@@ -346,7 +363,7 @@ def test_looks_in_height_are_those_in_contrast_under_the_law():
     cells, _ = survey(15, 3, 1)
     looks = collect(cells, (MEDIAN, SD))
     law = np.array([1.7, 0.3])
-    known = Shared(law, np.full(2, 1e-4), np.zeros(2), np.array([0.2]), np.full(3, 1e-9), 0.1)
+    known = Shared(law, np.full(2, 1e-4), np.zeros(2), np.array([0.2]), np.full(3, 1e-9), 0.1, 0.03)
     prior = with_prior(law_factor(known, True), steepness_factor(5, (MEDIAN, np.inf)))
     _, mean, _ = moments(with_prior(without_scatter(looks, known), prior))
     _, contrast, _ = moments(with_prior(looks.factor, prior))
