@@ -171,16 +171,12 @@ def swath_gains(
 def _log_ratio(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Log of the second's root mean square amplitude over the first's, where both show the floor.
 
-    Where they do not overlap in the cell, each one's own pixels are used.
+    NaN where they do not overlap: the two sides of a line show other ranges, and other floor.
     """
-    seen = np.isfinite(first), np.isfinite(second)
-    common = seen[0] & seen[1]
-    parts = (common, common) if common.sum() >= LEAST else seen
-    if min(p.sum() for p in parts) < LEAST:
+    common = np.isfinite(first) & np.isfinite(second)
+    if common.sum() < LEAST:
         return float("nan")
-    power = [
-        float(np.mean(v[p].astype(float) ** 2)) for v, p in zip((first, second), parts, strict=True)
-    ]
+    power = [float(np.mean(v[common].astype(float) ** 2)) for v in (first, second)]
     return 0.5 * float(np.log(power[1] / power[0])) if min(power) > 0 else float("nan")
 
 

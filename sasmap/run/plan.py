@@ -108,7 +108,8 @@ class Plan:
             return None
         known = [[t.name, self.hashes[t.path]] for t in self.training]
         model = None if sediments.model is None else self.hashes[self.model_path]
-        return [None if self.training else sediments.classes, known, model]
+        classes = None if self.training else sediments.classes
+        return [classes, sediments.least_area, known, model]
 
     @property
     def model_path(self) -> Path:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from sasmap.sediments import k_distribution
@@ -134,3 +135,24 @@ def test_a_line_that_nothing_holds_does_not_run_away():
     found = refine_boundary(guess, np.full((80, 200), 0.3), reach=10)
     assert np.abs(found.points[:, 1] - 40).max() < 16
     assert found.sd.min() > 3
+
+
+@pytest.mark.parametrize("contrast", [3.0, 10.0])
+@pytest.mark.parametrize("bright_left", [False, True])
+def test_a_blurred_boundary_is_not_drawn_to_its_darker_side(contrast, bright_left):
+    rng = np.random.default_rng(5)
+    rows, columns, edge, fine = 240, 80, 40.3, 4
+    place = np.arange(fine * columns) / fine - 0.5
+    level = np.where((place < edge) == bright_left, contrast, 1.0)
+    field = np.sqrt(level) * rng.standard_normal((2, fine * rows, fine * columns))
+    blurred = gaussian_filter(field, (0, 0.5 * fine, 0.5 * fine))
+    power = (blurred[:, fine // 2 :: fine, fine // 2 :: fine] ** 2).sum(axis=0)
+    power /= power[:, 60:].mean() if bright_left else power[:, :20].mean()
+    dark_over_bright = np.log(contrast) - power * (1 - 1 / contrast)
+    # of the way up the rows, the left side has the smaller columns; 2.3 pixels to a sample
+    ratio = (-dark_over_bright if bright_left else dark_over_bright) / 2.3
+    guess = np.column_stack([np.arange(rows - 1.0, 0, -4), np.full(60, edge + 1)])
+    found = refine_boundary(guess, ratio)
+    off = (found.points[5:-5, 1] - edge).mean()
+    assert abs(off) < 0.3  # without the offset of a sharp boundary 0.6 at a contrast of 10
+    assert abs(off) < 2 * found.sd.mean()
