@@ -278,7 +278,7 @@ class _Progress:
         if len(self._times) < 2 or seconds <= 0 or done == total:
             return ""
         rate = (len(self._times) - 1) / seconds
-        return f", {rate:.3g} a second, {duration((total - done) / rate)} left"
+        return f", {float(f'{rate:.3g}'):,g} a second, {duration((total - done) / rate)} left"
 
 
 def _terminated(*_: object) -> None:

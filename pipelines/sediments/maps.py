@@ -184,7 +184,8 @@ def boundaries_of(seed: int, kind: str) -> dict[str, tuple[float, float]]:
     truth = boundary_scene(kind, rng)
     tree = edges_of(truth)
     amplitude = textured(truth, WEAK, (50.0,) * 3, rng)
-    reach = 20 + 0.05 * np.broadcast_to(np.arange(truth.shape[1]), truth.shape)
+    # range runs across the first boundary: one that follows range would be taken for gain
+    reach = 20 + 0.05 * np.broadcast_to(np.arange(len(truth))[:, None], truth.shape)
     looks = [AmplitudeGrid(amplitude, reach)]
     start = time.perf_counter()
     likelihood = log_likelihoods(looks, find_classes(looks))

@@ -13,7 +13,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sasmap.catalogue import BY_FILE
 from sasmap.products.colours import Colour
 from sasmap.products.figures import Picture, encoded, map_frame, read_thinned
-from sasmap.products.ranges import digits_for, has_content, padded_range, range_of
+from sasmap.products.ranges import GAMMA, digits_for, has_content, padded_range, range_of
 
 Codes = Mapping[int, tuple[str, Colour]]
 
@@ -49,7 +49,8 @@ def overview(folder: Path, sediments: Codes) -> Picture | None:
     values, box = read_thinned(path, averaged=True)
     figure, axes = map_frame(box, width=7.4)
     low, high = range_of(path)
-    axes.imshow(values, extent=box, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    grey = PowerNorm(1 / GAMMA, low, high)
+    axes.imshow(values, extent=box, cmap="gray", norm=grey, interpolation="nearest")
     told = ["Sonar mosaic"]
     if _draw_sediments(folder, axes, figure, sediments, VEIL):
         told.append("sediments and their boundaries")

@@ -35,6 +35,10 @@ def sampled(path: Path, band: int) -> FloatArray:
     return np.asarray(values[np.isfinite(values)], np.float64)
 
 
+# Gamma of the mosaic's greys in figures and QGIS (a choice: between amplitude and decibels).
+GAMMA = 2.0
+
+
 def range_of(path: Path) -> tuple[float, float]:
     """Return the values of a raster's first and last colour.
 

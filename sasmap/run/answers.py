@@ -16,6 +16,10 @@ from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan
 from sasmap.run.wording import duration
 
+# Range of the cells' values, over the standard deviation of one, from which they differ: twice that
+# of equal ones.
+APART = 6.6
+
 
 class Answer(NamedTuple):
     """A number of the first page: its name, its value and a remark."""
@@ -55,7 +59,8 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
         yield _typical("Height, crest to trough", _table(good, "crest_to_trough"))
         known = np.array([c.azimuth[0] for c in good])
         mean, spread = axial(known[np.isfinite(known)])
-        beside = f"clockwise from grid north, where crests run; spread {spread:.1f}°"
+        beside = "clockwise from grid north, where crests run"
+        beside += f"; spread over the cells {spread:.0f}°" if spread >= 1 else ""
         yield Answer("Crest direction", f"{(mean + 90) % 180:.0f}°", beside)
     if outcome.sediments:
         areas = ", ".join(f"{c['name']} {c['area_m2']:,.0f} m²" for c in outcome.sediments)
@@ -63,13 +68,13 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
 
 
 def _typical(what: str, table: NDArray[np.float64]) -> Answer:
-    """Median over cells, standard deviation of one cell, and range over cells."""
+    """Range over cells, where they differ by more than their errors, or else the median."""
     value, sd = np.median(table[:, 0]), np.median(table[:, 1])
     low, high = np.quantile(table[:, 0], (0.05, 0.95))
-    beside = "median over cells ± sd of one cell"
-    if high - low > 2 * sd:
-        beside += f"; 90 % of the cells from {low:.3g} to {high:.3g} m"
-    return Answer(what, f"{measured(float(value), float(sd))} m", beside)
+    if high - low > APART * sd:
+        beside = f"90 % of the cells; median {value:.3g} m, standard deviation of a cell {sd:.2g} m"
+        return Answer(what, f"{low:.3g} to {high:.3g} m", beside)
+    return Answer(what, f"{measured(float(value), float(sd))} m", "median ± sd of one cell")
 
 
 def ripple_words(outcome: Outcome) -> str:
@@ -77,16 +82,11 @@ def ripple_words(outcome: Outcome) -> str:
     good = _good(outcome)
     if not good:
         return "No cell has ripples with a converged estimate."
-    parts = []
-    for text, name in (
-        ("wavelength", "wavelength"),
-        ("height (crest to trough)", "crest_to_trough"),
-    ):
-        value, sd = np.median(_table(good, name)[:, :2], axis=0)
-        parts.append(f"{text} {measured(float(value), float(sd))} m")
+    names = (("wavelength", "wavelength"), ("height (crest to trough)", "crest_to_trough"))
+    parts = [f"{text} {_typical(text, _table(good, name)).value}" for text, name in names]
     steepness = np.median(_table(good, "steepness")[:, 0])
     count = f"{len(good)} cells have" if len(good) > 1 else "1 cell has"
-    return f"{count} ripples; medians: {', '.join(parts)}, steepness {steepness:.3f}."
+    return f"{count} ripples: {', '.join(parts)}, median steepness {steepness:.3f}."
 
 
 def summary_lines(outcome: Outcome) -> Iterator[str]:

@@ -290,7 +290,8 @@ def describe(plan: Plan) -> Iterable[str]:
     for p in plan.opened.passes:
         met = sum(any(plan.swaths[k].sonar_pass is p for k in ks) for ks in plan.cells.values())
         sides = " and ".join(p.sides)
-        yield f"pass {p.name}: {len(p.tiles)} tiles, {sides}, {p.track.x.size} pings, {met} cells"
+        tiles = f"{len(p.tiles)} tile{'s' * (len(p.tiles) > 1)}"
+        yield f"pass {p.name}: {tiles}, {sides}, {p.track.x.size} pings, {met} cells"
     if plan.settings.ripples is not None:
         method = plan.settings.ripples.method
         yield f"ripples: method {method}, {sum(looks)} looks, at most {max(looks)} per cell"

@@ -198,7 +198,9 @@ def _meaning(outcome: Outcome, quality: Quality) -> str:
         return MEANINGS[quality]
     looks = [s for cell in outcome.cells.values() for s in cell if s is not None]
     counts = Counter(s.reason for s in looks if s.reason)
-    told = "; ".join(f"{reason} ({count} looks)" for reason, count in counts.most_common())
+    told = "; ".join(
+        f"{reason} ({count} look{'s' * (count > 1)})" for reason, count in counts.most_common()
+    )
     return told or MEANINGS[quality]
 
 

@@ -38,6 +38,8 @@ OBJECT, CERTAIN = "object", 0.9
 PROBABILITY = 0.002
 # Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
 FEWEST_RIPPLED = 4096
+# Pixels beside a line within which it must part two classes.
+BESIDE = 3
 # Pixels a side over which rippled floor is classed by its average: one to three wavelengths, half
 # of the longest. Speckle of troughs in shadow is noise, whose law is no sediment's.
 WAVES = 2 * HALO + 1
@@ -112,6 +114,9 @@ class SedimentMap:
         1 where the floor is rippled.
     objects : bool
         Whether the map shows objects, which bear the number after the classes'.
+    unmerged : (tuple of str, Classes) or None
+        Names and classes before those of one name were merged, if any were: the map of the same
+        pixels by these is the same again.
     """
 
     label: Canvas
@@ -122,6 +127,7 @@ class SedimentMap:
     surface: Surface
     rippled: Canvas
     objects: bool = False
+    unmerged: tuple[tuple[str, ...], Classes] | None = None
 
     @property
     def every_name(self) -> tuple[str, ...]:
@@ -168,7 +174,13 @@ class SedimentMap:
         number[1 : len(self.names) + 1] = [names.index(name) + 1 for name in self.names]
         lines = self.renumbered(number)
         first = tuple(self.classes.laws[self.names.index(name)] for name in names)
-        return replace(self, lines=lines, names=names, classes=replace(self.classes, laws=first))
+        return replace(
+            self,
+            lines=lines,
+            names=names,
+            classes=replace(self.classes, laws=first),
+            unmerged=(self.names, self.classes),
+        )
 
     def with_objects(self) -> SedimentMap:
         """Mark objects on the map."""
@@ -310,12 +322,26 @@ def map_sediments(
     paint(label, lines, final, workers)
     if least > 1:
         final = _without_small(surface, final, least, canvas("sieved", "uint8"), workers)
+        lines = [line for line in lines if _parts(final, line)]
     rippled = canvas("ripples", "uint8")
     _mark_rippled(surface, final, max(least, FEWEST_RIPPLED), rippled, workers)
     names = known.names if known is not None else ()
     found = SedimentMap(final, confidence, tuple(lines), classes, names, surface, rippled)
     found = found.merged() if known is not None else _without_empty(found)
     return found.with_objects()
+
+
+def _parts(label: Canvas, line: Line) -> bool:
+    """Whether a line still parts two classes of a map whose small patches were given away."""
+    points = np.rint(line.boundary.points[::4]).astype(int)
+    parted = 0
+    for row, column in points:
+        around = label[
+            slice(max(row - BESIDE, 0), row + BESIDE + 1),
+            slice(max(column - BESIDE, 0), column + BESIDE + 1),
+        ]
+        parted += around.size > 0 and np.unique(around).size > 1
+    return bool(2 * parted >= len(points))
 
 
 def _without_small(

@@ -138,11 +138,13 @@ def _map(
         drawn = found.drawn()
         outcome.sediments = found.table(abs(transform.determinant), drawn)
         outcome.histograms = [one.histogram() for one in drawn]
+        names, classes = found.unmerged or (found.names, found.classes)
+        codes = ("",) * len(names) if known is None else known.codes_of(names)
     _warn(outcome)
     written.append(store.output / "sediment_classes.json")
     write_text(
         written[-1],
-        model_text(found.names, codes, found.classes, found.surface.apart),
+        model_text(names, codes, classes, found.surface.apart),
         store.scratch,
     )
     if not found.surface.faults:

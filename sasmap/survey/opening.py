@@ -173,7 +173,7 @@ def _inspect_tiles(survey: Survey, settings: PassSettings) -> tuple[Tile, ...]:
         found = [
             path
             for path in find_tiles(survey.path.parent, pattern)
-            if path == literal or not _is_product(survey, path)
+            if path == literal or not (_is_product(survey, path) or _was_product(path))
         ]
         if not found:
             faults.lines.append(
@@ -194,6 +194,11 @@ def _is_product(survey: Survey, path: Path) -> bool:
     """Whether a run writes a product to this path."""
     inside = path.resolve().parent == survey.output_folder.resolve()
     return inside and path.name in PRODUCTS
+
+
+def _was_product(path: Path) -> bool:
+    """Whether a run with another output folder has written this product."""
+    return path.name in PRODUCTS and (path.parent / ".sasmap").is_dir()
 
 
 def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:

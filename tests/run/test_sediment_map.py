@@ -98,6 +98,30 @@ def test_classes_are_named_merged_and_coded_by_an_edited_model(scene, tmp_path):
     assert [c["name"] for c in outcome.sediments] == ["silt"]
     assert (after == 1).all()
     assert pyogrio.raw.read(tmp_path / "c" / "sediment_boundaries.gpkg")[2].size == 0
+    # its own model makes the same map of the same tiles: no law is lost
+    written = tmp_path / "c" / "sediment_classes.json"
+    assert len(json.loads(written.read_text())["classes"]) == 2
+    _, again = run(survey_of(scene, model=str(written)), tmp_path / "d")
+    np.testing.assert_array_equal(again, after)
+
+
+def test_another_least_area_is_another_map_and_leaves_no_line_where_nothing_is_parted(tmp_path):
+    spotted = {
+        **SCENE,
+        "sediments": [
+            *SCENE["sediments"],
+            {"name": "spot", "level": 0.4, "polygon": [[12, 5], [14, 5], [14, 7], [12, 7]]},
+        ],
+    }
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(spotted))
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "--output", str(tmp_path)]) == 0
+    found = []
+    for least in (0.5, 12.0):
+        _, label = run(survey_of(tmp_path, classes=2, least_area=least), tmp_path / "out")
+        lines = pyogrio.raw.read(tmp_path / "out" / "sediment_boundaries.gpkg")[2].size
+        found.append((float((label[100:140, 240:280] == 1).mean()), lines))
+    assert found[0] == (pytest.approx(1.0, abs=0.1), 2)
+    assert found[1] == (0.0, 1)
 
 
 def test_the_map_does_not_know_the_window_and_ripples_are_no_sediment(tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from sasmap.sediments import k_distribution
 from sasmap.sediments.bands import find_bands
@@ -167,3 +168,28 @@ def test_drift_makes_no_classes_and_an_edge_does():
     assert len(find_classes([floor._replace(amplitude=floor.amplitude * drift)]).laws) == 1
     jump = np.where(y > 700, np.exp(0.25), 1.0)
     assert len(find_classes([floor._replace(amplitude=floor.amplitude * jump)]).laws) == 2
+
+
+def test_grainy_sediments_with_rough_boundaries_are_no_gain():
+    rng = np.random.default_rng(32)
+    rows, columns = 768, 960
+    down, across = np.meshgrid(np.fft.fftfreq(rows), np.fft.fftfreq(columns), indexing="ij")
+    number = np.hypot(down, across)
+    number[0, 0] = np.inf
+    field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((rows, columns))) * number**-1.7).real
+    field = (field - field.mean()) / field.std()
+    truth = (field > -0.4).astype(int) + (field > 0.7)
+    speckle = rng.standard_normal((2, rows, columns))
+    speckle = np.sqrt((gaussian_filter(speckle, (0, 0.6, 0.6)) ** 2).sum(axis=0))
+    grain = gaussian_filter(rng.standard_normal((rows, columns)), 3)
+    rock = np.exp(0.8 * grain / grain.std())
+    amplitude = (
+        speckle * np.where(truth == 2, rock, 1.0) * 10 ** (np.array([-0.8, -0.3, 0.2])[truth])
+    )
+    reach = 15 + 0.05 * np.broadcast_to(np.arange(columns), truth.shape)
+    grid = AmplitudeGrid(amplitude, reach / 6.0)
+    classes = find_classes([grid])
+    assert len(classes.laws) == 3
+    assert classes.bands is None
+    label = class_map(log_likelihoods([grid], classes)).label
+    assert rand_index(truth, label.astype(int)) > 0.75

@@ -237,6 +237,9 @@ def test_products_are_no_tiles_and_replace_no_input(tmp_path):
     path = small_survey(tmp_path, output="tiles")
     (tmp_path / "tiles" / "ripple_height.tif").write_text("of an earlier run")
     assert len(opened(path).passes[0].tiles) == 1
+    path = small_survey(tmp_path)
+    (tmp_path / "tiles" / ".sasmap").mkdir()  # that run was given this folder by --output
+    assert len(opened(path).passes[0].tiles) == 1
     path = small_survey(tmp_path, **with_pass(tiles=["tiles/ripple_height.tif"]), output="tiles")
     tile = tmp_path / "tiles" / "ripple_height.tif"
     tile.write_bytes((tmp_path / "tiles" / "a.tif").read_bytes())

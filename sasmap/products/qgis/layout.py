@@ -37,6 +37,8 @@ class Sheet(NamedTuple):
         WKT.
     box : tuple of float
         Left, bottom, right, top of the survey, m.
+    ripples : bool
+        Whether ripples are drawn.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Sheet(NamedTuple):
     software: str
     crs: str
     box: tuple[float, float, float, float]
+    ripples: bool
 
 
 def add_layouts(root: ET.Element, sheet: Sheet, legend: ET.Element) -> None:
@@ -81,10 +84,13 @@ def _notes(sheet: Sheet) -> str:
     authority = crs.to_authority()
     code = f" ({':'.join(authority)})" if authority else ""
     surveyed = f"surveyed {sheet.dates}\n" if sheet.dates else ""
-    return (
+    ripples = (
         "Ripples: lines along the crests, longer for longer wavelengths; dotted where flagged. "
         "λ wavelength, H height from trough to crest, ± one standard deviation.\n"
-        f"CRS {crs.name}{code}\n{surveyed}"
+    )
+    return (
+        f"{ripples if sheet.ripples else ''}CRS {crs.name}{code}\n"
+        f"scale 1 : [% round(item_variables('map')['map_scale']) %]\n{surveyed}"
         f"printed [% format_date(now(), 'yyyy-MM-dd') %]\n{sheet.software}"
     )
 

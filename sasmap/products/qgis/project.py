@@ -95,7 +95,9 @@ def _project(folder: Path, styles: Mapping[str, list[ET.Element]], titles: Title
     child(child(properties, "SpatialRefSys"), "ProjectionsEnabled", type="int").text = "1"
     legend = ET.Element("layer-tree-group")
     _list_layers(legend, sources, styles, [n for n in styles if BY_FILE[n].shown])
-    sheet = Sheet(titles.name, titles.dates, f"{titles.software}, run {titles.run_id}", crs, box)
+    software = f"{titles.software}, run {titles.run_id}"
+    ripples = "ripple_cells.gpkg" in styles
+    sheet = Sheet(titles.name, titles.dates, software, crs, box, ripples)
     add_layouts(root, sheet, legend)
     return text_of(root)
 

@@ -14,7 +14,7 @@ import pyogrio
 from sasmap.catalogue import BY_FILE, Product, Ramp
 from sasmap.products.colours import Colour, class_colour, colour_at, hexadecimal, stops
 from sasmap.products.qgis.xml import child, line_settings, symbol, symbol_layer
-from sasmap.products.ranges import digits_for, has_content, padded_range, range_of, sampled
+from sasmap.products.ranges import GAMMA, digits_for, has_content, padded_range, range_of, sampled
 from sasmap.ripples.posterior import Quality
 
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
@@ -82,7 +82,9 @@ def style_of(path: Path, names: Categories) -> list[ET.Element] | None:
             return None
         pipe.append(_paletted(shown, product.opacity))
     elif product.ramp is not None and product.ramp.name == "gray":
-        pipe.append(_grey(*range_of(path)))
+        pipe.append(_grey(*(float(f"{v:.3g}") for v in range_of(path))))
+        # darker floor keeps the hue of the sediments laid over it
+        ET.SubElement(pipe, "brightnesscontrast", brightness="0", contrast="0", gamma=f"{GAMMA:g}")
     else:
         pipe.append(_pseudocolour(product, *range_of(path)))
     ET.SubElement(pipe, "rasterresampler", maxOversampling="2")
@@ -283,6 +285,9 @@ def _labels(told: str, placement: str, flags: str, size: int, beside: bool = Fal
         "text-style",
         fieldName=told,
         isExpression="0" if told.isidentifier() else "1",
+        fontFamily="Sans Serif",
+        namedStyle="Bold",
+        fontWeight="75",
         fontSize=str(size),
         fontSizeUnit="Point",
         textColor="0,0,0,255",
@@ -291,7 +296,7 @@ def _labels(told: str, placement: str, flags: str, size: int, beside: bool = Fal
         style,
         "text-buffer",
         bufferDraw="1",
-        bufferSize="0.8",
+        bufferSize="0.6",
         bufferSizeUnits="MM",
         bufferColor="255,255,255,200",
         bufferOpacity="1",
