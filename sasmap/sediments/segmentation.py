@@ -159,10 +159,14 @@ def find_classes(
 
 
 def _blurred(survey: _Survey, fewer: _Found, found: _Found) -> bool:
-    """Whether gain by range spreads the levels of classes, instead of explaining them."""
+    """Whether gain by range spreads the levels of classes, instead of explaining them.
+
+    Where it makes no classes fewer, it must leave less.
+    """
     if (found.labels >= 0).sum() < TELLING:
         return False
-    return _spread(survey, fewer) > WORSE * _spread(survey, found)
+    limit = WORSE if len(fewer.laws) < len(found.laws) else 1.0
+    return _spread(survey, fewer) > limit * _spread(survey, found)
 
 
 def _spread(survey: _Survey, found: _Found) -> float:
