@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,10 @@ TOLD_TEXTURED = 0.2
 # wavy ones of recorded snippets 0.72 and 0.89, drifts 0.2 to 0.7.
 SHARP = 0.5
 # Log amplitude (1.7 dB) that relief may make of a bed's level, as its law is not known: 0.16 is
-# left of simulated ripples under a law with a peak; and by how much the rippled shares of two
-# classes differ if it is that which parts them.
-RELIEF, ONE_SIDED = 0.2, 0.8
+# left of simulated ripples under a law with a peak; and the rippled shares of the two classes, the
+# one at most and the other at least, if it is that which parts them: part of a bed may be with the
+# flat floor.
+RELIEF, PARTLY, WHOLLY = 0.2, 0.65, 0.8
 # Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
 WITHIN = 0.7
 
@@ -112,8 +114,9 @@ def united(
     """
     while len(laws) > 1:
         each = range(len(laws))
+        bed = None if rippled is None else _beds(flat, labels, len(laws), rippled)
         softest, i, j = min(
-            (_sharpness(labels, level, (i, j), told, rippled), i, j) for i in each for j in range(i)
+            (_sharpness(labels, level, (i, j), told, bed), i, j) for i in each for j in range(i)
         )
         if softest > SHARP:
             break
@@ -124,20 +127,39 @@ def united(
     return labels, laws
 
 
+class _Bed(NamedTuple):
+    """Log rms amplitude of a class's pixels, which shadow changes little, and its rippled share."""
+
+    power: float
+    share: float
+
+
+def _beds(
+    flat: Sequence[Flat], labels: NDArray[np.int64], count: int, rippled: NDArray[np.bool_]
+) -> list[_Bed]:
+    powers = [float(np.mean(pixels_of(flat, labels == k) ** 2)) for k in range(count)]
+    return [
+        _Bed(float(0.5 * np.log(max(power, 1e-30))), float(rippled[labels == k].mean()))
+        for k, power in enumerate(powers)
+    ]
+
+
 def _sharpness(
     labels: NDArray[np.int64],
     level: FloatArray,
     pair: tuple[int, int],
     told: float,
-    rippled: NDArray[np.bool_] | None,
+    beds: list[_Bed] | None,
 ) -> float:
     """Difference of two classes' levels across their boundary, of that of the classes as such.
 
-    1 where it cannot be told; 0 where it is as little as relief makes and one alone is rippled.
+    1 where it cannot be told; 0 where it is as little as relief makes, one class is rippled and the
+    other has flat floor.
     """
     i, j = pair
     whole = float(np.median(level[labels == i]) - np.median(level[labels == j]))
-    if not told < abs(whole) < APART:
+    relief = beds is not None and _parted_by_relief(beds[i], beds[j])
+    if not relief and not told < abs(whole) < APART:
         return 1.0
     jumps = []
     for axis in (0, 1):
@@ -148,11 +170,12 @@ def _sharpness(
     every = np.concatenate(jumps)
     if every.size < ENOUGH:
         return 1.0
-    if rippled is not None and abs(whole) < RELIEF:
-        shares = [float(rippled[labels == k].mean()) for k in pair]
-        if abs(shares[0] - shares[1]) > ONE_SIDED:
-            return 0.0
-    return float(np.median(every)) / whole
+    return 0.0 if relief else float(np.median(every)) / whole
+
+
+def _parted_by_relief(first: _Bed, second: _Bed) -> bool:
+    less, more = sorted((first.share, second.share))
+    return less < PARTLY and more > WHOLLY and abs(first.power - second.power) < RELIEF
 
 
 def within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:

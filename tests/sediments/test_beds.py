@@ -4,7 +4,7 @@ import pytest
 from sasmap.sediments.floor import Flat
 from sasmap.sediments.grouping import pruned
 from sasmap.sediments.segmentation import find_classes
-from sasmap.sediments.separation import TOLD, laws_of, united
+from sasmap.sediments.separation import TOLD, _Bed, _sharpness, laws_of, united
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 
 SIDE = 40 * BLOCK
@@ -54,3 +54,21 @@ def test_rippled_and_flat_floor_that_differ_by_little_are_one_sediment(step, the
     assert left(labels > 0) == there
     assert left(np.ones(labels.shape, bool)) == 2  # two beds: a boundary is one
     assert left(None) == 2
+
+
+@pytest.mark.parametrize(
+    ("bed", "other", "one"),
+    [
+        ((0.0, 1.0), (0.05, 0.5), True),  # shadow makes the bed's mean log lower, not its power
+        ((0.0, 1.0), (0.0, 0.0), True),
+        ((0.0, 1.0), (0.3, 0.5), False),
+        ((0.0, 1.0), (0.05, 0.9), False),  # a bed over two sediments
+        ((0.0, 0.1), (0.05, 0.0), False),
+    ],
+)
+def test_a_bed_and_flat_floor_of_one_power_are_one_sediment(bed, other, one):
+    labels = np.zeros((40, 40), int)
+    labels[:, 20:] = 1
+    level = np.where(labels == 1, 0.5, 0.0)
+    found = _sharpness(labels, level, (1, 0), 0.1, [_Bed(*bed), _Bed(*other)])
+    assert found == (0.0 if one else 1.0)
