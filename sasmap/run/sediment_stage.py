@@ -48,7 +48,7 @@ def sediment_stage(
     if kept is None:
         return _map(plan, store, outcome, workers, key, progress, client)
     outcome.sediments, outcome.histograms = kept["table"], kept["histograms"]
-    _warn(outcome)
+    _warn(plan, outcome)
     return [store.output / name for name in kept["files"]]
 
 
@@ -140,7 +140,7 @@ def _map(
         outcome.histograms = [one.histogram() for one in drawn]
         names, classes = found.unmerged or (found.names, found.classes)
         codes = ("",) * len(names) if known is None else known.codes_of(names)
-    _warn(outcome)
+    _warn(plan, outcome)
     written.append(store.output / "sediment_classes.json")
     write_text(
         written[-1],
@@ -152,14 +152,18 @@ def _map(
     return written
 
 
-def _warn(outcome: Outcome) -> None:
+def _warn(plan: Plan, outcome: Outcome) -> None:
     """Say where what might be sediments was taken for gain."""
     gain = outcome.sediments[0]["taken_for_gain_by_range_dB"] if outcome.sediments else None
     if gain is not None:
+        advice = (
+            "look at mosaic.tif; where passes overlap they share one gain"
+            if len({swath.sonar_pass.name for swath in plan.swaths}) > 1
+            else "a pass from another side or range would tell whether they are sediments"
+        )
         outcome.warnings.append(
             f"sediments: levels that follow range over a whole line, by up to {gain:.1f} dB, are "
-            "taken for gain or beam pattern; a pass from another side or range would tell whether "
-            "they are sediments"
+            f"taken for gain or beam pattern; {advice}"
         )
         log.warning("warning: %s", outcome.warnings[-1])
 
