@@ -20,9 +20,9 @@ OVERLAP_DB, SEAM_DB = 1.0, 3.0
 ERRORS, INDEPENDENT = 4.0, 0.25
 # Decibels per unit of relative change of intensity.
 DB = 10.0 / np.log(10.0)
-# Pixels a side of the compared pieces, width of strips along a seam, and fewest pixels (400
-# give a gain to 0.4 dB).
-SIDE, STRIP, LEAST = 192, 24, 400
+# Pixels a side of the compared pieces, widths of strips along a seam (a crest or trough that runs
+# along it fills the narrow one, not the wide one), and fewest pixels (400 give a gain to 0.4 dB).
+SIDE, STRIPS, LEAST = 192, (24, 192), 400
 # Most pairs of tiles that are compared: bounds the time, as each opens a file twice.
 MOST_PAIRS = 3000
 
@@ -93,9 +93,17 @@ def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:
 
 
 def _meeting(first: Tile, second: Tile) -> tuple[float, float, str]:
-    """Difference between the strips along a seam."""
-    one = _box(first, second, STRIP).intersect(first.window)
-    other = _box(second, first, STRIP).intersect(second.window)
+    """Difference between strips along a seam: of those of all widths the least."""
+    found = [_at_seam(first, second, width) for width in STRIPS]
+    if min(f[0] for f in found) < 0 < max(f[0] for f in found):
+        return 0.0, SEAM_DB, ""
+    return min(found, key=lambda f: abs(f[0]))
+
+
+def _at_seam(first: Tile, second: Tile, width: int) -> tuple[float, float, str]:
+    """Difference between the strips of one width."""
+    one = _box(first, second, width).intersect(first.window)
+    other = _box(second, first, width).intersect(second.window)
     parts: list[FloatArray] = []
     for tile, box in ((first, one), (second, other)):
         values = [read_mosaic((tile,), tile.lattice, part) for part in _pieces(box)]
