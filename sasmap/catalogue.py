@@ -283,8 +283,8 @@ CATALOGUE = (
         "run",
         "pixels",
         "Sonar mosaic",
-        "The amplitude of all passes on one grid, with their gains matched; the first "
-        "pass of the survey file lies on top.",
+        "The amplitude of all passes on one grid, with gains matched where they overlap; the "
+        "first pass of the survey file lies on top.",
         (Band("amplitude, linear, in units of the first pass", ""),),
         Ramp("gray"),
         shown=True,

@@ -161,7 +161,7 @@ def growth_figure(cells: Sequence[FusedCell], swaths: Sequence[str]) -> Picture 
     axes.legend(fontsize=8)
     count = len(several)
     caption = (
-        f"Gain from each pass: median standard deviation over the {count} cells that several "
+        f"What each pass adds: median standard deviation over the {count} cells that several "
         "passes show, after each pass in the survey file's order."
     )
     return Picture(encoded(figure), caption)
