@@ -63,7 +63,7 @@ class CellEvidence:
             LAW_MEAN, whole, np.zeros(2), nothing, ODD_SCATTER, expit(SHARE_LOGIT), 1.0
         )
         f_alone, _, azimuth_alone = np.where(np.eye(3), ODD_SCATTER, SCATTER)
-        self.odd = [*self._together(any_law, ODD_SCATTER, f_alone, azimuth_alone)]
+        self.odd = self._together(any_law, ODD_SCATTER, f_alone, azimuth_alone)
         self._known: dict[bytes, FloatArray] = {}
 
     def evidence(self, shared: Shared) -> FloatArray:

@@ -76,6 +76,10 @@ class _Survey:
     def __post_init__(self) -> None:
         self.kept: list[dict[tuple[int, int], NDArray[np.float32]]] = [{} for _ in self.looks]
 
+    def leveled(self, bands: Bands | None) -> list[Blocks]:
+        """Take bands, if there are any, off the blocks of all looks."""
+        return self.blocks if bands is None else leveled(self.blocks, bands)
+
     def flat(self, trends: FloatArray, bands: Bands | None) -> list[Flat]:
         """Take gain, trend and bands, if there are any, off the looks."""
         each = enumerate(zip(self.looks, trends, self.kept, strict=True))
@@ -171,8 +175,7 @@ def _blurred(survey: _Survey, fewer: _Found, found: _Found) -> bool:
 
 def _spread(survey: _Survey, found: _Found) -> float:
     """Deviation of blocks' levels from those of their classes (root mean square)."""
-    blocks = survey.blocks if found.bands is None else leveled(survey.blocks, found.bands)
-    level, weight = levels(blocks, found.trends)
+    level, weight = levels(survey.leveled(found.bands), found.trends)
     away = [
         level[one] - np.median(level[one])
         for k in range(len(found.laws))
@@ -215,10 +218,7 @@ def _level_ones(blocks: list[Blocks], beds: Dark | None) -> list[Blocks]:
 
 def _without_drift(survey: _Survey, found: _Found) -> _Found:
     """Unite classes that drift alone parts."""
-    blocks = survey.blocks
-    if found.bands is not None:
-        blocks = leveled(blocks, found.bands)
-    level, weight = levels(blocks, found.trends)
+    level, weight = levels(survey.leveled(found.bands), found.trends)
     seen = np.where(weight > 0, found.labels, -1)
     flat = survey.flat(found.trends, found.bands)
     told = TOLD_TEXTURED if found.textured else TOLD
@@ -228,9 +228,7 @@ def _without_drift(survey: _Survey, found: _Found) -> _Found:
 
 def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     """Group blocks, free of bands of gain, if there are any."""
-    blocks = survey.blocks
-    if bands is not None:
-        blocks = leveled(blocks, bands)
+    blocks = survey.leveled(bands)
     first = trends = first_trends(blocks)
     dark = dark_blocks(blocks, trends)
     fewest, most = count or 1, None
