@@ -186,7 +186,9 @@ def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> 
     fit = fit_wave(task, wave.vector)
     if not np.isfinite(fit.peaks[0].level):  # the prior has no place for it
         return xr.Dataset()
-    points, _, _ = _sampled(fit, task.settings, rng)
+    points, _, done = _sampled(fit, task.settings, rng)
+    if not done:  # too weak for the clip to tell
+        return xr.Dataset()
     fraction = ripple_extent(task.image, fit.phase.wave).fraction
     return _labelled(points, fit, task.image, (_crossing(wave, first), fraction), rng)
 

@@ -129,11 +129,12 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     ripple = parameters_at(np.append([0.0, 0.0], z[2:]), geometry)
     fill_pulses(ripple, data, geometry, pulses, levels)
     fill_lags(pulses, lags)
-    weight = np.sqrt(data.pixel_count.sum(axis=1))
-    slope, phase = (
-        np.polyfit(data.place, np.unwrap(lags), 1, w=weight) if len(lags) > 1 else (0, lags[0])
-    )
-    return np.array([slope / (2 * np.pi), phase])
+    lags, weight = np.unwrap(lags), data.pixel_count.sum(axis=1)
+    weight /= weight.sum()
+    place, lag = weight @ data.place, weight @ lags
+    apart = data.place - place
+    slope = (weight * apart) @ (lags - lag) / max(weight @ apart**2, 1e-12)
+    return np.array([slope / (2 * np.pi), lag - slope * place])
 
 
 def fisher_scoring(

@@ -62,6 +62,10 @@ LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
 # Standard deviation of the log of the blur about its expectation.
 BLUR_SD = 0.35
+# Sampling coordinates that change no pulse: phase, noise floor and its power of range.
+NO_PULSE = (1, 7, 8)
+# Relative change whose log is told to 3e-5 by its first two terms.
+SMALL = 0.01
 LINE_OF_SIGHT, CREST = 1, 2
 
 
@@ -302,20 +306,17 @@ def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_lit(elevation, part_of_range, lit):  # type: ignore[no-untyped-def]
+def fill_lit(elevation, part_of_range, crest, lit):  # type: ignore[no-untyped-def]
     """Share of each facet that the sonar sees: what stands out over all that is nearer.
 
-    `elevation` is height over the sonar (below 0) of a wavelength's facets along the look, each
-    `part_of_range` of the ground range apart. A point D nearer hides one at range r where it is
-    higher than the ray: h' - A > (h - A) (1 - D / r). A wavelength before suffices. Edges of shadow
-    are told to a fraction of a facet.
+    `elevation` is height over the sonar (below 0) of a wavelength's facets along the look, the
+    highest of them at `crest`, each `part_of_range` of the ground range apart. A point D nearer
+    hides one at range r where it is higher than the ray: h' - A > (h - A) (1 - D / r). A wavelength
+    before suffices. Edges of shadow are told to a fraction of a facet.
     """
     n = elevation.size
     lit[:] = 0.0
-    first = 0
-    for i in range(1, n):
-        first = i if elevation[i] > elevation[first] else first
-    first = first - 1 if first > 0 else n - 1  # the facet before the crest, which none hides
+    first = crest - 1 if crest > 0 else n - 1  # the facet before the crest, which none hides
     horizon, apart = elevation[first], 0
     before, rise = 0.0, 0.0
     last = first
@@ -362,34 +363,45 @@ def fill_crest_rule(  # type: ignore[no-untyped-def]
         before = margin
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def deposit(pulse, place, power):  # type: ignore[no-untyped-def]
-    """Add facets' power to the two bins of phase about each one's place (cycles)."""
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
+    """Add facets' power to the two bins of phase about each one's place (cycles).
+
+    `place` becomes the lower bin's number, `beyond` what the upper one gets.
+    """
     bins = pulse.size
-    last, here, beyond = 0, 0.0, 0.0
     for i in range(place.size):
         x = (place[i] - np.floor(place[i])) * bins + (bins - 0.5)
-        low = int(x)
-        share = x - low
-        low -= bins if low >= bins else 0
+        low = np.int32(x)
+        beyond[i] = (x - low) * power[i]
+        place[i] = low - bins if low >= bins else low
+    last, here, above = 0, 0.0, 0.0
+    for i in range(place.size):
+        low = np.int32(place[i])
         if low != last:  # neighbours mostly share their bins
             pulse[last] += here
-            pulse[last + 1 if last + 1 < bins else 0] += beyond
-            last, here, beyond = low, 0.0, 0.0
-        here += power[i] * (1.0 - share)
-        beyond += power[i] * share
+            pulse[last + 1 if last + 1 < bins else 0] += above
+            last, here, above = low, 0.0, 0.0
+        here += power[i] - beyond[i]
+        above += beyond[i]
     pulse[last] += here
-    pulse[last + 1 if last + 1 < bins else 0] += beyond
+    pulse[last + 1 if last + 1 < bins else 0] += above
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-def]
-    """Scattered intensity at NODES sines of the local grazing angle, 0 to 1."""
+    """Scattered intensity at NODES sines of the local grazing angle, 0 to 1.
+
+    And its step to the next node: `law` is (2, NODES).
+    """
     known = error.any()
     for i in range(NODES):
-        law[i] = np.exp(exponent * LOG_SINES[i] - concentration * OFFSETS[i])
+        law[0, i] = np.exp(exponent * LOG_SINES[i] - concentration * OFFSETS[i])
         if known:
-            law[i] *= np.exp(np.interp(LOG_SINES[i], LAW_KNOTS, error))
+            law[0, i] *= np.exp(np.interp(LOG_SINES[i], LAW_KNOTS, error))
+    for i in range(NODES - 1):
+        law[1, i] = law[0, i + 1] - law[0, i]
+    law[1, NODES - 1] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -406,32 +418,38 @@ def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def fill_echoes(wave, tangent, ground_range, shadow, facets, law, power, place):  # type: ignore[no-untyped-def]
+def fill_echoes(  # type: ignore[no-untyped-def]
+    wave, tangent, ground_range, crest, facets, law, power, place
+):
     """Fill a wavelength's facets' power and image phase (cycles), for a place at a ground range.
 
-    `facets` as :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
+    `crest` is the number of the highest facet, below 0 where no shadow can fall. `facets` as
+    :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
     """
     n = facets.shape[1]
     heights, slopes, areas, elevation, lit = facets[0], facets[1], facets[2], facets[3], facets[4]
     cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
     sine = tangent * cosine
-    if shadow:
+    if crest >= 0:
         for i in range(n):
             elevation[i] = heights[i] - tangent * ground_range
-        fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
+        fill_lit(elevation, 1.0 / (wave * n * ground_range), crest, lit)
     per_range = 1.0 / ground_range
     bend = 0.5 * (1.0 + tangent * tangent) * per_range
     for i in range(n):
         h = heights[i]
         # the ray's own grazing angle is less by h / range
         grazing = (sine + (slopes[i] - h * per_range) * cosine) / areas[i]
-        x = min(max(grazing, 0.0), 1.0) * (NODES - 1)
-        low = min(int(x), NODES - 2)
-        power[i] = areas[i] * (law[low] + (x - low) * (law[low + 1] - law[low]))
-        # of a facet that the ray grazes a part may be lit where its middle is turned away
-        power[i] *= lit[i] if shadow else (1.0 if grazing > 0.0 else 0.0)
+        power[i] = min(max(grazing, 0.0), 1.0) * (NODES - 1)
         # the range r whose r' = sqrt(r^2 + (A - h)^2 - A^2) this is, to second order
         place[i] = (i + 0.5) / n - h * (tangent - h * bend) * wave
+    # of a facet that the ray grazes a part may be lit where its middle is turned away
+    if crest < 0:
+        for i in range(n):
+            lit[i] = 1.0 if power[i] > 0.0 else 0.0
+    for i in range(n):
+        low = np.uint32(np.int32(power[i]))
+        power[i] = areas[i] * lit[i] * (law[0, low] + (power[i] - low) * law[1, low])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -456,7 +474,7 @@ def fill_published(  # type: ignore[no-untyped-def]
     elif shadow == LINE_OF_SIGHT:
         for i in range(n):
             elevation[i] = ripple.height * unit[i] - altitude
-        fill_lit(elevation, 1.0 / (wave * n * ground_range), lit)
+        fill_lit(elevation, 1.0 / (wave * n * ground_range), np.argmax(unit), lit)
     grazing, slope_angle = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
     c = ripple.concentration
     flat = published_amplitude(grazing, c)
@@ -536,12 +554,13 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
     blocks, bins = data.pixel_count.shape
     n = FACETS * bins
     facets, power, place = np.empty((5, n)), np.empty(n), np.empty(n)
-    law, pulse, kernel = np.empty(NODES), np.empty(bins), np.empty(bins)
+    law, pulse, kernel = np.empty((2, NODES)), np.empty(bins), np.empty(bins)
     wave = geometry.along + ripple.wave_offset
-    reach = fill_blur(ripple.blur * bins, kernel)
+    reach, crest = fill_blur(ripple.blur * bins, kernel), -1
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
         fill_facets(ripple, wave, geometry, facets)
+        crest = np.argmax(facets[0]) if geometry.shadow else -1
     before, stride = 0, 1 if geometry.shadow else RENDERED
     for b in range(blocks):
         if b % stride != 0 and b < blocks - 1:
@@ -552,10 +571,10 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
             fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, power, place)
             flat = published_amplitude(np.arctan(tangent), ripple.concentration) ** 2
         else:
-            fill_echoes(wave, tangent, distance, geometry.shadow > 0, facets, law, power, place)
-            flat = law[int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
+            fill_echoes(wave, tangent, distance, crest, facets, law, power, place)
+            flat = law[0, int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
         pulse[:] = 0.0
-        deposit(pulse, place, power)
+        deposit(pulse, place, power, facets[3])
         levels[b] = pulse.sum() / (n * flat)
         fill_blurred(pulse, kernel, reach, pulses[b])
         fill_between(data.ground_range, before, b, pulses, levels)
@@ -589,39 +608,48 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
     return log_gain, information
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def pulse_at(pulse, place):  # type: ignore[no-untyped-def]
-    """Pulse between bins at any place in bins; `pulse` ends with its first two bins again."""
-    bins = pulse.size - 2
-    place -= bins * np.floor(place / bins)  # just below 0 rounds up to `bins` itself
-    low = int(place)
-    return pulse[low] + (place - low) * (pulse[low + 1] - pulse[low])
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def pulse_at(pulse, phase):  # type: ignore[no-untyped-def]
+    """Pulse at any phase, cycles from its first bin; `pulse` ends with its first two bins again."""
+    # just below 0 rounds up to a whole cycle
+    place = (phase - np.floor(phase)) * (pulse.size - 2)
+    low = np.uint32(np.int32(place))
+    return pulse[low] + (place - low) * (pulse[low + np.uint32(1)] - pulse[low])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-untyped-def]
     """Fill the pulse that each bin shows, at its pixels' phase and between two blocks at its range.
 
-    `closed` holds each block's pulse and its first two bins again, `shifts` its shift in bins.
+    `closed` holds each block's pulse and its first two bins again, `shifts` its shift in cycles.
     """
     blocks, bins = means.shape
     reach = data.ground_range
     for b in range(blocks):
+        # beyond the last, what the one before foretells
+        before, after = (b - 1 if b > 0 else b + 1), (b + 1 if b + 1 < blocks else b - 1)
+        if blocks == 1:
+            before, after = 0, 0
+        nearer, farther = closed[before], closed[after]
         for i in range(bins):
             off = data.range_offset[b, i]
-            # from the middle of the first bin
-            x = i + bins * (data.phase_offset[b, i] + wave_offset * off)
-            here = pulse_at(closed[b], x + shifts[b])
-            means[b, i] = here
-            other = b + 1 if off > 0.0 else b - 1
-            if off == 0.0 or blocks == 1:
-                continue
-            if not 0 <= other < blocks:  # beyond the last, what the one before foretells
-                other = 2 * b - other
-            share = off / (reach[other] - reach[b])
-            means[b, i] = max(
-                here + share * (pulse_at(closed[other], x + shifts[other]) - here), 0.0
-            )
+            phase = i / bins + data.phase_offset[b, i] + wave_offset * off
+            here = pulse_at(closed[b], phase + shifts[b])
+            other = after if off > 0.0 else before
+            apart = reach[other] - reach[b]
+            share = off / apart if apart != 0.0 else 0.0
+            beside = farther if off > 0.0 else nearer
+            beyond = pulse_at(beside, phase + shifts[other])
+            means[b, i] = max(here + share * (beyond - here), 0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_rendered(ripple, data, geometry, pulses, lags):  # type: ignore[no-untyped-def]
+    """Fill pulses (blocks, bins), and where a field is followed their lags (blocks,), rad."""
+    fill_pulses(ripple, data, geometry, pulses, np.empty(lags.size))
+    lags[:] = 0.0
+    if geometry.follows_image:
+        fill_lags(pulses, lags)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -630,17 +658,19 @@ def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-unty
 
     Return the gains' part of the likelihood: they are integrated out under 1 / gain.
     """
+    pulses, lags = np.empty(means.shape), np.empty(gains.size)
+    fill_rendered(ripple, data, geometry, pulses, lags)
+    return fill_shown(ripple, data, geometry, pulses, lags, means, gains)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_shown(ripple, data, geometry, pulses, lags, means, gains):  # type: ignore[no-untyped-def]
+    """Fill what :func:`fill_expected` does, from pulses and lags that are rendered already."""
     blocks, bins = means.shape
-    pulses, lags, levels = np.empty((blocks, bins)), np.empty(blocks), np.empty(blocks)
-    fill_pulses(ripple, data, geometry, pulses, levels)
-    if geometry.follows_image:
-        fill_lags(pulses, lags)
     floors, shifts = np.empty(blocks), np.empty(blocks)
     closed = np.empty((blocks, bins + 2))
     for b in range(blocks):
-        shift = (ripple.phase + (lags[b] if geometry.follows_image else 0.0)) / (2.0 * np.pi)
-        shift += ripple.wave_offset * data.place[b]
-        shifts[b] = bins * (shift - np.floor(shift))
+        shifts[b] = (ripple.phase + lags[b]) / (2.0 * np.pi) + ripple.wave_offset * data.place[b]
         closed[b, :bins], closed[b, bins:] = pulses[b], pulses[b, :2]
         ratio = data.ground_range[b] / geometry.range_middle
         floors[b] = ripple.noise * ratio**ripple.noise_slope / data.trend[b]
@@ -725,11 +755,12 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
     By differences over `size`, smaller for the wave number. `means` become the expected intensity
     (blocks, bins), `prior` the slope and curvature of the log prior (free coordinates, 2).
     """
-    gains = np.empty(means.shape[0])
-    moved = np.empty(means.shape)
+    gains, lags = np.empty(means.shape[0]), np.empty(means.shape[0])
+    moved, pulses = np.empty(means.shape), np.empty(means.shape)
     ripple = parameters_at(z, geometry)
     known = log_prior(z, ripple, geometry)
-    fill_expected(ripple, data, geometry, means, gains)
+    fill_rendered(ripple, data, geometry, pulses, lags)
+    fill_shown(ripple, data, geometry, pulses, lags, means, gains)
     for k in range(free.size):
         i = free[k]
         step = size / max(geometry.range_middle, 1.0) if i == 0 else size
@@ -748,8 +779,17 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
             ripple, step = below, -step
         elif not after > -np.inf:  # beyond the prior a ripple may be none that can be rendered
             continue
-        fill_expected(ripple, data, geometry, moved, gains)
-        slopes[k] = np.log(moved / means).ravel() / step
+        if i in NO_PULSE:
+            fill_shown(ripple, data, geometry, pulses, lags, moved, gains)
+        else:
+            fill_expected(ripple, data, geometry, moved, gains)
+        for b in range(means.shape[0]):
+            for j in range(means.shape[1]):
+                change = moved[b, j] / means[b, j] - 1.0
+                # the log of 1 + change, to third order where it is small
+                small = abs(change) < SMALL
+                log = change - 0.5 * change * change if small else np.log1p(change)
+                slopes[k, b * means.shape[1] + j] = log / step
 
 
 def named_parameters(points: FloatArray, geometry: Geometry) -> dict[str, FloatArray]:
