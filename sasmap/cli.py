@@ -46,6 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as stop:
         print(f"sasmap: {stop or 'interrupted'}; run again to go on from here", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # who reads the output has seen enough; Python flushes it once more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return COMPLETE
     except OSError as error:
         print(f"sasmap: {error}", file=sys.stderr)
         return INCOMPLETE

@@ -1,5 +1,6 @@
 import json
 import subprocess
+import sys
 
 import pytest
 
@@ -30,6 +31,14 @@ def test_plan_and_schema(tmp_path, capsys):
     assert "left out" not in said
     assert main(["schema"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "Survey"
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    command = [sys.executable, "-m", "sasmap", "schema"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        run.stdout.close()
+        assert run.stderr.read() == b""
+    assert run.returncode == 0
 
 
 def test_plan_of_another_output_counts_what_is_finished_there(tmp_path, capsys):

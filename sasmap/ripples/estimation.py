@@ -95,6 +95,8 @@ def estimate(
 
     Raises
     ------
+    TypeError
+        Where the clip has no coordinates at all.
     ValueError
         Where a coordinate is missing.
 
@@ -120,6 +122,10 @@ def estimate(
     rng = np.random.default_rng(rng)
     if isinstance(clip, xr.DataArray):
         clip = Clip.from_array(clip)
+    if not isinstance(clip, Clip):
+        raise TypeError(
+            f"expected a Clip, or a DataArray as open_pass gives it, got {type(clip).__name__}"
+        )
     prior = prior or Prior.natural(settings.frequency, settings.height)
     valid = clip.valid
     if valid.sum() < MIN_PIXELS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sasmap.errors import InputError
 from sasmap.settings.survey import parse_model
 from sasmap.settings.yamlfile import load_yaml
 from sasmap.simulate.scene import Scene
@@ -26,4 +27,9 @@ def load_scene(path: str | Path) -> Scene:
         With one line per fault.
     """
     path = Path(path)
-    return parse_model(Scene, load_yaml(path), path)
+    keys = load_yaml(path)
+    if "output" in keys:
+        raise InputError(
+            f"{path}: expected a scene to simulate, got a survey: 'sasmap run {path}' runs it"
+        )
+    return parse_model(Scene, keys, path)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from sasmap.ripples import estimate
 from sasmap.ripples.clip import Clip, mean_look
 from tests.helpers import zare_cobb_clip
 
@@ -44,3 +45,8 @@ def test_from_array_takes_scalars_and_one_dimensional_coordinates():
         Clip.from_array(array.drop_vars("altitude"))
     with pytest.raises(ValueError, match="expected an array"):
         Clip.from_array(array[0])
+
+
+def test_amplitudes_without_coordinates_are_no_clip():
+    with pytest.raises(TypeError, match="got ndarray"):
+        estimate(np.ones((50, 50)))

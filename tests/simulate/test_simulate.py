@@ -287,6 +287,14 @@ def test_scene_faults_name_file_and_key(tmp_path, text, says):
     assert any(says in fault and str(path) in fault for fault in caught.value.faults)
 
 
+def test_a_survey_is_no_scene(tmp_path):
+    path = tmp_path / "survey.yaml"
+    path.write_text("output: out\npasses: []\n")
+    with pytest.raises(InputError, match="expected a scene to simulate, got a survey") as caught:
+        load_scene(path)
+    assert len(caught.value.faults) == 1
+
+
 def test_a_smaller_scene_leaves_no_tiles_of_the_larger_one(tmp_path):
     simulate(scene_of(passes=one_pass(tile=64)), tmp_path)
     (tmp_path / ".sasmap-simulate").mkdir()
