@@ -113,12 +113,14 @@ def draw_parameters(geometry: Geometry, frequency: float, rng: np.random.Generat
         height = 0.5 * steepness / frequency
         z[HEIGHT] = 0.0
         for _ in range(30):  # the coordinate at which A_H is this
-            z[HEIGHT] += np.log(height / parameters_at(z, geometry).height)
+            z[HEIGHT] += np.log(height / min(parameters_at(z, geometry).height, 1e9))
         ripple = parameters_at(z, geometry)
         possible = abs(ripple.peakedness) < 0.4 and abs(ripple.asymmetry) < 0.4
         least, most = LAW_BOUNDS
         possible &= least < ripple.exponent < most and least < ripple.concentration < most
-        if possible and np.isfinite(height) and 2 * np.pi * frequency * height < 1:
+        # of a law that darkens with slope no height has this contrast
+        possible &= bool(np.isclose(ripple.height, height))
+        if possible and 2 * np.pi * frequency * height < 1:
             return ripple
 
 

@@ -374,7 +374,8 @@ def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
         x = (place[i] - np.floor(place[i])) * bins + (bins - 0.5)
         low = np.int32(x)
         beyond[i] = (x - low) * power[i]
-        place[i] = low - bins if low >= bins else low
+        low -= bins if low >= bins else 0
+        place[i] = min(max(low, 0), bins - 1)  # a number even of what is none
     last, here, above = 0, 0.0, 0.0
     for i in range(place.size):
         low = np.int32(place[i])
@@ -448,7 +449,7 @@ def fill_echoes(  # type: ignore[no-untyped-def]
         for i in range(n):
             lit[i] = 1.0 if power[i] > 0.0 else 0.0
     for i in range(n):
-        low = np.uint32(np.int32(power[i]))
+        low = np.uint32(min(max(np.int32(power[i]), 0), NODES - 1))
         power[i] = areas[i] * lit[i] * (law[0, low] + (power[i] - low) * law[1, low])
 
 
@@ -612,8 +613,9 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
 def pulse_at(pulse, phase):  # type: ignore[no-untyped-def]
     """Pulse at any phase, cycles from its first bin; `pulse` ends with its first two bins again."""
     # just below 0 rounds up to a whole cycle
-    place = (phase - np.floor(phase)) * (pulse.size - 2)
-    low = np.uint32(np.int32(place))
+    bins = pulse.size - 2
+    place = (phase - np.floor(phase)) * bins
+    low = np.uint32(min(max(np.int32(place), 0), bins))
     return pulse[low] + (place - low) * (pulse[low + np.uint32(1)] - pulse[low])
 
 

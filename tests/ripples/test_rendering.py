@@ -276,6 +276,14 @@ def test_law_departs_from_its_family_by_its_error_alone():
     np.testing.assert_allclose(plain[100], law_intensity(sine[100], 1.0, 0.3))
 
 
+@pytest.mark.parametrize("height", [np.inf, np.nan, 1e300])
+def test_a_height_that_is_none_reads_nothing_beyond_an_array(height):
+    where, data = geometry(0.6, 20.0, 5.0), empty([18.0, 20.0, 22.0], 5.0)
+    means, gains = np.empty(data.pixel_count.shape), np.empty(3)
+    fill_expected(ripple(height), data, where, means, gains)
+    fill_expected(ripple(0.05)._replace(phase=height), data, where, means, gains)
+
+
 def test_slope_across_the_look_widens_facets():
     facets = np.empty((5, 96))
     where = geometry(0.5, 20.0, 5.0, across=0.4)
