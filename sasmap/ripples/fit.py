@@ -43,6 +43,7 @@ from sasmap.ripples.rendering import (
     fill_expected,
     fill_lags,
     fill_pulses,
+    fill_residuals,
     parameters_at,
 )
 from sasmap.ripples.settings import RippleSettings, scattering_law
@@ -253,7 +254,7 @@ def refined(task: Task, fit: Fit) -> Fit:
     another = found[0] is not fit.peaks[0]
     fit = fit._replace(peaks=found)
     fit = reweighted(fit, whole, image.pixel_size) if another else fit
-    return fit._replace(misfit=misfit_of(fit._replace(data=whole)))
+    return fit._replace(misfit=misfit_of(fit, whole))
 
 
 def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
@@ -327,14 +328,37 @@ def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
     return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
 
 
-def misfit_of(fit: Fit) -> float:
+def with_fitted_errors(fit: Fit) -> FloatArray:
+    """Return expected intensity (blocks, bins) with the errors that the image tells."""
+    means = expected_at(fit, fit.z)[0]
+    errors = fit.data.errors.reshape(-1, means.size)
+    if not len(errors):
+        return means
+    residuals = np.empty(means.shape)
+    fill_residuals(means, fit.data, residuals)
+    told = fit.data.error_gain @ (errors @ residuals.ravel())
+    return np.asarray(means * np.exp((told @ errors).reshape(means.shape)))
+
+
+def misfit_of(fit: Fit, whole: Histogram) -> float:
     """Relative error of the expected intensity beyond speckle, root mean square over what is lit.
 
-    Of groups of range and parts of phase; `fit` has a histogram of whole pixels. What is dark
-    weighs less, by the square of its intensity: side lobes are light there.
+    Of groups of range and parts of phase, and beyond the errors of law and profile that the
+    likelihood allows for. What is dark weighs less, by the square of its intensity: side lobes are
+    light there.
+
+    Parameters
+    ----------
+    fit : Fit
+    whole : Histogram
+        Of whole pixels.
+
+    Returns
+    -------
+    float
     """
-    data = fit.data
-    means = expected_at(fit, fit.z)[0]
+    data = whole
+    means = with_fitted_errors(fit)
     pixels, seen, expected = (
         in_cells(data, v) for v in (data.pixel_count, data.intensity_sum, data.pixel_count * means)
     )

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from sasmap.ripples.fit import Fit, bin_weights, expected_at, misfit_of
+from sasmap.ripples.fit import Fit, bin_weights, expected_at, misfit_of, with_errors
 from sasmap.ripples.optimise import fisher_scoring, search
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
 
@@ -84,10 +84,22 @@ def test_light_as_bright_as_the_clip_where_shadow_is_foretold_counts():
 def test_misfit_is_that_of_lit_sea_floor_beyond_speckle():
     rng = np.random.default_rng(4)
     exact = fit_of(6, np.ones((6, BINS)))
-    assert misfit_of(exact) < 0.02
+    assert misfit_of(exact, exact.data) < 0.02
     speckle = rng.gamma(500, 1 / 500, (24, BINS))
     noisy = exact.data._replace(intensity_sum=exact.data.intensity_sum * speckle)
-    assert misfit_of(exact._replace(data=noisy)) < 0.03
+    assert misfit_of(exact, noisy) < 0.03
     for error in (0.1, 0.3):
         signs = np.repeat(rng.choice([-1.0, 1.0], (6, 16)), 3, axis=1)
-        assert abs(misfit_of(fit_of(6, 1 + error * signs)) / error - 1) < 0.15
+        wrong = fit_of(6, 1 + error * signs)
+        assert abs(misfit_of(wrong, wrong.data) / error - 1) < 0.15
+
+
+def test_what_the_errors_of_the_law_explain_is_no_misfit():
+    exact = fit_of(6, np.ones((6, BINS)))
+    law = exact.geometry._replace(law_error=np.array([0.0, 0.3, 0.3, -0.3, 0.0, 0.0]))
+    seen = expected_at(exact._replace(geometry=law), exact.z)[0]
+    other = exact.data._replace(intensity_sum=exact.data.pixel_count * seen)
+    wrong = exact._replace(data=other)
+    before = misfit_of(wrong, other)
+    told = misfit_of(wrong._replace(data=with_errors(wrong)), other)
+    assert told < 0.3 * before
