@@ -18,6 +18,9 @@ BoolArray = NDArray[np.bool_]
 
 # Narrowest strip along the crest normal, over the clip's longer side (a choice).
 STRIP = 1 / 16
+# Least share of a wave's measured energy that counts as its own where speckle makes up more (a
+# choice: keeps the ratio of two small numbers small).
+LEAST_OWN = 0.5
 # Bins of the profile per wavelength, where it has enough pixels.
 FINE, LONG_ENOUGH = 6, 12.0
 # Ramp of the share of a profile's variance that is not speckle, over which its shape counts.
@@ -35,7 +38,7 @@ SPECKLED, RAYLEIGH, LEAST_POWER = 8, 0.523, 0.3
 
 
 class Extents(NamedTuple):
-    """Extent of a wave in wavelengths.
+    """Extent of a wave in wavelengths, and whether its crests keep step.
 
     Attributes
     ----------
@@ -43,11 +46,15 @@ class Extents(NamedTuple):
         Along its normal, and along its crests.
     room : float
         Available length along the normal over that along the crests.
+    out_of_step : float
+        Correlation of neighbouring places on a crest less that of neighbouring crests: about 0 for
+        ripples, forked or not, because a fork disturbs both; up to 1 for separate lines.
     """
 
     normal: float
     crests: float
     room: float
+    out_of_step: float
 
 
 def _width(shape: tuple[int, ...], wave: tuple[float, float]) -> float:
@@ -83,7 +90,32 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     energy = np.maximum(np.where(full, excess / np.maximum(count, 1.0), 0.0), 0.0)
     wide = width * float(np.hypot(*wave))
     room = full.any(axis=1).sum() / (full.any(axis=0).sum() * wide)
-    return Extents(_participation(energy, 0), _participation(energy, 1) * wide, float(room))
+    mean = np.where(full, turned / np.maximum(count, 1.0), 0.0)
+    speckle = np.where(full, mean_noise / np.maximum(count, 1.0), 0.0)
+    step = _step(mean.T, speckle.T) - _step(mean, speckle)
+    return Extents(_participation(energy, 0), _participation(energy, 1) * wide, float(room), step)
+
+
+def _step(mean: NDArray[np.complex128], speckle: FloatArray) -> float:
+    """Correlation of a wave between neighbouring rows of boxes.
+
+    Parameters
+    ----------
+    mean : ndarray (rows, columns)
+        Complex amplitude of boxes, 0 where there is none.
+    speckle : ndarray (rows, columns)
+        Mean square that speckle adds to it.
+
+    Returns
+    -------
+    float
+    """
+    both = (speckle[1:] > 0) & (speckle[:-1] > 0)
+    here, there = mean[1:][both], mean[:-1][both]
+    measured = [float((np.abs(v) ** 2).sum()) for v in (here, there)]
+    added = [float(v[both].sum()) for v in (speckle[1:], speckle[:-1])]
+    own = [max(m - a, LEAST_OWN * m) for m, a in zip(measured, added, strict=True)]
+    return float(abs(np.vdot(there, here)) / max(np.sqrt(own[0] * own[1]), 1e-12))
 
 
 def _participation(energy: FloatArray, axis: int) -> float:
