@@ -292,7 +292,7 @@ def _rivals(
     marks = PER_WAVE * (min(across, ENOUGH) - there.normal)
     marks += PER_STEP * max(there.out_of_step - STEPS, 0.0)
     yield REGULAR * max(told, 0.0) - marks
-    yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel))
+    yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel, there))
 
 
 def _ramp(value: float, low: float, high: float) -> float:
