@@ -38,7 +38,7 @@ LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 14.0, 55.0
 LONG, LONGER, RIBBED = 2.0, 2.5, 0.5
 # Power of speckle taken off that of a box, over its mean: its power is exponential, so that an
 # eighth of it remains.
-SPECKLE = 2.0
+TAKEN_OFF = 2.0
 # Pixels a side of the boxes in which the display power is estimated, standard deviation of Rayleigh
 # speckle over its mean, and least plausible power.
 SPECKLED, RAYLEIGH, LEAST_POWER = 8, 0.523, 0.3
@@ -219,7 +219,7 @@ def objectness(
     if full.sum() < 4:
         return 0.0
     variance = float((flat[valid] ** 2).mean())
-    energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - SPECKLE * variance, 0.0)
+    energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - TAKEN_OFF * variance, 0.0)
     if not energy.max() > 0:
         return 0.0
     level = 1 + total[full] / count[full]
