@@ -18,7 +18,7 @@ from scipy.fft import fft2
 
 from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import Image
-from sasmap.ripples.places import contrast_of, extents, lines_of, objectness
+from sasmap.ripples.places import contrast_of, extents, grain_of, lines_of, objectness
 from sasmap.ripples.spectra import (
     MIN_PIXELS,
     MIN_WAVES,
@@ -43,6 +43,10 @@ PRIOR, PART_TRIALS = 16.0, 1.5
 # of contrast and extent over which it sets in. The ramp of the (negative) number of wavelengths
 # ends it: with more of them the spectrum suffices, and long-grained speckle has as much contrast.
 STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
+# Ramp of the wavelength over the size of speckle's grain over which it sets in: three to five times
+# as long as grains are wide. Clips of grain alone that pass for ripples have 6 to 9, recorded
+# ripples 14 and more.
+GRAINS = (9.0, 12.0)
 # Ramp of the negative excess kurtosis over which the bonus sets in: grain and marks have pointed
 # profiles.
 ROUND = (-0.3, 0.0)
@@ -278,6 +282,7 @@ def _rivals(
     """Log odds of a peak against alternative explanations, the fastest tests first."""
     contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # the rest is texture
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
+    strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)
     told = peak.evidence - PRIOR - (0.0 if whole else PART_TRIALS)
     yield told + strong
     here = extents(*places, peak.per_pixel)

@@ -21,6 +21,8 @@ STRIP = 1 / 16
 # Least share of a wave's measured energy that counts as its own where speckle makes up more (a
 # choice: keeps the ratio of two small numbers small).
 LEAST_OWN = 0.5
+# Bounds of the correlation of neighbouring pixels: those of grains of 0.3 and 7 pixels.
+LEAST_SHARE, MOST_SHARE = 0.004, 0.99
 # Bins of the profile per wavelength, where it has enough pixels.
 FINE, LONG_ENOUGH = 6, 12.0
 # Ramp of the share of a profile's variance that is not speckle, over which its shape counts.
@@ -153,6 +155,31 @@ def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> fl
     energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - variance, 0.0)
     total = float(energy.sum())
     return 2 * float(np.sqrt((energy**2).sum() / total)) / size if total > 0 else 0.0
+
+
+def grain_of(flat: FloatArray, valid: BoolArray) -> float:
+    """Estimate the size of the grain of speckle from the correlation of neighbouring pixels.
+
+    Parameters
+    ----------
+    flat : ndarray (rows, columns)
+        Amplitude over its trend, less 1; 0 where not valid.
+    valid : ndarray of bool (rows, columns)
+
+    Returns
+    -------
+    float
+        Standard deviation, pixels, of the Gaussian that smooths the complex image, of the direction
+        in which it is smaller: the correlation at a distance t is exp(-t^2 / (2 s^2)).
+    """
+    power = max(float((flat[valid] ** 2).mean()), 1e-12)
+    pairs = (flat[1:], flat[:-1], valid[1:], valid[:-1]), (
+        flat[:, 1:], flat[:, :-1], valid[:, 1:], valid[:, :-1]
+    )  # fmt: skip
+    shares = [
+        float((a * b).sum()) / max(int((u & v).sum()), 1) / power for a, b, u, v in pairs
+    ]
+    return float(1 / np.sqrt(-2 * np.log(np.clip(min(shares), LEAST_SHARE, MOST_SHARE))))
 
 
 def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
