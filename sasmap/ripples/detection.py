@@ -282,7 +282,8 @@ def _rivals(
     """Log odds of a peak against alternative explanations, the fastest tests first."""
     contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # the rest is texture
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
-    strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)
+    if strong > 0:
+        strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)
     told = peak.evidence - PRIOR - (0.0 if whole else PART_TRIALS)
     yield told + strong
     here = extents(*places, peak.per_pixel)

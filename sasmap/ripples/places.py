@@ -176,9 +176,7 @@ def grain_of(flat: FloatArray, valid: BoolArray) -> float:
     pairs = (flat[1:], flat[:-1], valid[1:], valid[:-1]), (
         flat[:, 1:], flat[:, :-1], valid[:, 1:], valid[:, :-1]
     )  # fmt: skip
-    shares = [
-        float((a * b).sum()) / max(int((u & v).sum()), 1) / power for a, b, u, v in pairs
-    ]
+    shares = [float((a * b).sum()) / max(int((u & v).sum()), 1) / power for a, b, u, v in pairs]
     return float(1 / np.sqrt(-2 * np.log(np.clip(min(shares), LEAST_SHARE, MOST_SHARE))))
 
 
@@ -214,9 +212,7 @@ def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float
     return float(sure * bright * (fourth - 3 * second**2) / signal**2)
 
 
-def objectness(
-    flat: FloatArray, valid: BoolArray, per_pixel: FloatArray, there: Extents
-) -> float:
+def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray, there: Extents) -> float:
     """Measure how much a wave resembles an object: bright, in one place, with a shadow.
 
     Averaged over a wavelength, ripples scatter as much as the floor around, and their shadow is

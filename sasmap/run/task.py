@@ -287,12 +287,12 @@ def clip_of(
     left, _, _, top = grid.bounds(cell)
     before, size = 0.5 * (window - 1) * grid.size, window * grid.size
     square = CellGrid(grid.crs, left - before, top + before, size, 1, 1, size)
-    return read_clip(look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look, window))
+    return read_clip(
+        look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look, window)
+    )
 
 
-def tiles_around(
-    plan: Plan, cell: Cell, look: Swath, window: float = WIDER
-) -> tuple[Tile, ...]:
+def tiles_around(plan: Plan, cell: Cell, look: Swath, window: float = WIDER) -> tuple[Tile, ...]:
     """Tiles of a look's pass that show a window of so many cells a side, each once."""
     met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
     reach = int(np.ceil(0.5 * (window - 1) * grid.size / grid.spacing - 1e-9))
