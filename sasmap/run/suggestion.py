@@ -18,7 +18,8 @@ LOOKS, SHOWN = 12, 0.25
 # pixels.
 ENOUGH, WANTED, STEP = 5.0, 8.0, 10
 # Windows that are tried in turn, cells a side, until one shows ripples: the last holds 3.5
-# wavelengths where a cell holds half a one. Most pixels a side of those after the first (a choice: seconds).
+# wavelengths where a cell holds half a one. Most pixels a side of those after the first (a choice:
+# seconds).
 WINDOWS, LARGEST = (WIDER, 2 * WIDER, 4 * WIDER), 1200
 
 
