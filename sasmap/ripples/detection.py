@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.fft import fft2
 
 from sasmap.ripples.flattening import flattened
+from sasmap.ripples.fringes import follows_grazing
 from sasmap.ripples.image import Image
 from sasmap.ripples.places import contrast_of, extents, grain_of, lines_of, objectness
 from sasmap.ripples.spectra import (
@@ -94,6 +95,10 @@ class Unclear(StrEnum):
     PIXELS = "too few pixels per wavelength: use tiles of finer pixels, or bound the frequency"
     ALONG = (
         "seen along the crests, or gain that varies along the track: add a pass on another heading"
+    )
+    BANDS = (
+        "bands along the track, evenly spaced in grazing angle: gain over range, or ripples that "
+        "lengthen with it: add a pass on another heading"
     )
 
 
@@ -178,6 +183,9 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     if not waves or waves[0].evidence < 0:
         hidden = any(_wave(image, flat, p).evidence > SURE for p in along[:CANDIDATES])
         unclear = _unclear(image, flat, gains, hidden, bounds)
+    shown = np.array([w.vector for w in waves if w.evidence > 0])
+    if shown.size and follows_grazing(image, flat, shown):
+        return Found([], Unclear.BANDS)
     return Found(waves, unclear)
 
 
