@@ -18,10 +18,14 @@ BoolArray = NDArray[np.bool_]
 # Largest angle between the normal of bands and the look, degrees: bands run along the track, and
 # the direction of four waves is known to within a degree or two.
 ALONG = 3.0
-# Least share of what all pings have in common that one wave over the grazing angle explains, and
-# largest share that one over range explains, relative to it. Of 230 simulated clips of bands, 4 to
-# 10 at far over near ranges of 1.25 to 2.25, 98 % have at least 0.87 and three in four at most 0.4;
-# of 140 of ripples, wavelengths drifting by up to a third or not, none has both.
+# Least correlation of the profiles of the two halves of the track, speckle apart: nine in ten
+# simulated clips of bands have 0.8 and more, forked ripples that pass for bands otherwise 0.4 and
+# 0.5 (pipelines/ripples/lookalikes.py, as the next).
+ALIKE = 0.7
+# Least share of what the halves have in common that one wave over the grazing angle explains, and
+# largest share that one over range explains, relative to it. Bands whose spacing changes by half or
+# more have 0.87 and more, and at most 0.4 of it in three of four clips; ripples with crests along
+# the track 1.2 and more, with wavelengths that drift by 15 % 0.86 and more.
 EXPLAINED, IN_RANGE = 0.8, 0.75
 # Pixels per bin of range, and steps of the number of waves (choices: a sixth of the shortest wave
 # that is detected well, and a tenth of the width of a peak).
@@ -56,9 +60,21 @@ def follows_grazing(image: Image, flat: FloatArray, normals: FloatArray) -> bool
     weight = np.sqrt(pixels[0] * pixels[1])
     if np.count_nonzero(weight) < MOST:
         return False
+    share = weight / weight.sum()
+    apart = profiles - (profiles @ share)[:, None]
+    speckle = float((flat[known] ** 2).mean()) / np.maximum(pixels, 1.0)
+    if not _alike(apart, speckle, share):
+        return False
     altitude = float(np.median(image.altitude[known]))
-    by_angle = _explained(np.arctan2(reach, altitude), profiles, weight)
-    return by_angle > EXPLAINED and _explained(reach, profiles, weight) < IN_RANGE * by_angle
+    by_angle = _explained(np.arctan2(reach, altitude), apart, share)
+    return by_angle > EXPLAINED and _explained(reach, apart, share) < IN_RANGE * by_angle
+
+
+def _alike(apart: FloatArray, speckle: FloatArray, share: FloatArray) -> bool:
+    """Whether two profiles (2, bins), to which speckle adds variances, are the same."""
+    own = (apart**2 - speckle) @ share
+    common = float(share @ (apart[0] * apart[1]))
+    return bool(own.min() > 0 and common > ALIKE * np.sqrt(own[0] * own[1]))
 
 
 def _profiles(
@@ -79,17 +95,13 @@ def _profiles(
     return near + step * (np.arange(bins) + 0.5), total / np.maximum(pixels, 1.0), pixels
 
 
-def _explained(place: FloatArray, profiles: FloatArray, weight: FloatArray) -> float:
+def _explained(place: FloatArray, apart: FloatArray, share: FloatArray) -> float:
     """Share of the covariance of two profiles (2, bins) that one wave over `place` explains.
 
-    Speckle and crests that are not straight are not in common.
+    `share` (bins,) weighs the bins; speckle and crests that are not straight are not in common.
     """
-    share = weight / weight.sum()
-    apart = profiles - (profiles @ share)[:, None]
     common = float(share @ (apart[0] * apart[1]))
-    if common <= 0:
-        return 0.0
-    used = place[weight > 0]
+    used = place[share > 0]
     scaled = (place - used.min()) / np.ptp(used)
     waves = np.exp(-2j * np.pi * np.arange(FEWEST, MOST, STEP)[:, None] * scaled)
     one, other = (waves @ (share * half) for half in apart)
