@@ -92,7 +92,8 @@ def _profiles(
     halves = (known & first, known & ~first)
     pixels = np.array([np.bincount(number[h], minlength=bins) for h in halves], float)
     total = np.array([np.bincount(number[h], flat[h], bins) for h in halves])
-    return near + step * (np.arange(bins) + 0.5), total / np.maximum(pixels, 1.0), pixels
+    reach = np.asarray(near + step * (np.arange(bins) + 0.5))
+    return reach, total / np.maximum(pixels, 1.0), pixels
 
 
 def _explained(place: FloatArray, apart: FloatArray, share: FloatArray) -> float:

@@ -36,7 +36,7 @@ DARK_SKEW = (-0.5, -0.2)
 LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 14.0, 55.0
 # Ramp of the extent of ribs along the hull over that across it, and how much it counts. Hulls are
 # three to seven times as long as wide; of 280 patches of ripples of any outline 2 % have more than
-# 1.9, of 35 wrecks that resemble ripples half.
+# 1.9, of 35 wrecks that resemble ripples half (pipelines/ripples/lookalikes.py, presence.py).
 LONG, LONGER, RIBBED = 2.0, 2.5, 0.5
 # Power of speckle taken off that of a box, over its mean: its power is exponential, so that an
 # eighth of it remains.

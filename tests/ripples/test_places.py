@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
-from sasmap.ripples.places import extents, objectness
+from sasmap.ripples.places import extents, grain_of, objectness
 
 SIZE, WAVELENGTH = 300, 20
 WAVE = np.array([1 / WAVELENGTH, 0.0])
@@ -73,6 +74,15 @@ def test_straight_lines_at_unrelated_places_are_out_of_step(seed):
 
 def test_speckle_alone_is_neither():
     assert abs(places_of(np.ones((SIZE, SIZE))).out_of_step) < 0.25
+
+
+@pytest.mark.parametrize("size", [0.8, 2.0])
+def test_grain_is_measured_beside_ripples(size):
+    column = np.arange(SIZE)
+    field = gaussian_filter(np.random.default_rng(2).normal(size=(2, SIZE, SIZE)), (0, size, size))
+    grainy = np.hypot(*field) * (1 + 0.2 * np.sin(2 * np.pi * column / WAVELENGTH))
+    found = grain_of(over_mean(grainy), np.ones((SIZE, SIZE), bool))
+    assert found == pytest.approx(size, rel=0.2)
 
 
 def likeness(flat):
