@@ -72,7 +72,8 @@ OF_CRESTS, ENOUGH = 0.7, 5.0
 # the (negative) extent along the normal of four lines at most. Of 450 small clips with four to
 # eight forked waves (pipelines/ripples/lookalikes.py) 2 % have more, of 48 recorded ones none, of
 # 10 clips of trawl marks that pass for ripples otherwise 8, of 7 fresh ones 2 (the others keep
-# step by chance or extend farther). Most pairs of parallel systems, out of step as well, extend farther.
+# step by chance or extend farther). Most pairs of parallel systems, out of step as well, extend
+# farther.
 STEPS, PER_STEP, LINES = 0.25, 60.0, (-4.6, -4.0)
 # Share of the spectral evidence that also counts against marks, which are irregularly spaced (of
 # 1200 such clips 3 are false positives with it and without).
