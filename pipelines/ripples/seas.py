@@ -40,14 +40,14 @@ class Bed(SeaFloor):
         super().__init__(scene)
         self._parts = numbers, sizes, phases
 
-    def waves(self, x: np.ndarray, y: np.ndarray) -> Waves:
-        """Heights in place of waves."""
+    def systems(self, x: np.ndarray, y: np.ndarray) -> list[Waves]:
+        """Heights in place of one system of waves."""
         shape = np.broadcast_shapes(np.shape(x), np.shape(y))
         height = np.zeros(shape)
         for (east, north), size, phase in zip(*self._parts, strict=True):
             height += size * np.sin(2 * np.pi * (east * x + north * y) + phase)
         none = np.zeros(shape)
-        return Waves(none, none, none, height, np.zeros(shape, np.int64))
+        return [Waves(none, none, none, height, np.zeros(shape, np.int64))]
 
     def elevation(self, waves: Waves) -> np.ndarray:
         """Heights, m."""

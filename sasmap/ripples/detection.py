@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.fft import fft2
 
 from sasmap.ripples.flattening import flattened
+from sasmap.ripples.fringes import follows_grazing
 from sasmap.ripples.image import Image
-from sasmap.ripples.places import contrast_of, extents, lines_of, objectness
+from sasmap.ripples.places import contrast_of, extents, grain_of, lines_of, objectness
 from sasmap.ripples.spectra import (
     MIN_PIXELS,
     MIN_WAVES,
@@ -43,6 +44,10 @@ PRIOR, PART_TRIALS = 16.0, 1.5
 # of contrast and extent over which it sets in. The ramp of the (negative) number of wavelengths
 # ends it: with more of them the spectrum suffices, and long-grained speckle has as much contrast.
 STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
+# Ramp of the wavelength over the size of speckle's grain over which it sets in: three to five times
+# as long as grains are wide. Clips of grain alone that pass for ripples have 6 to 9, recorded
+# ripples 14 and more.
+GRAINS = (9.0, 12.0)
 # Ramp of the negative excess kurtosis over which the bonus sets in: grain and marks have pointed
 # profiles.
 ROUND = (-0.3, 0.0)
@@ -63,6 +68,13 @@ MIN_EXTENT, OF_MORE, PER_WAVE = 2.5, 0.1, 10.0
 # at most four lines, cross a clip from edge to edge (400 such clips have 0.27 to 0.74, ripples with
 # forks at least 0.83, recorded ones 0.75).
 OF_CRESTS, ENOUGH = 0.7, 5.0
+# Loss of step from crest to crest above which lines may be marks, nats per unit of it, and ramp of
+# the (negative) extent along the normal of four lines at most. Of 450 small clips with four to
+# eight forked waves (pipelines/ripples/lookalikes.py) 2 % have more, of 48 recorded ones none, of
+# 10 clips of trawl marks that pass for ripples otherwise 8, of 7 fresh ones 2 (the others keep
+# step by chance or extend farther). Most pairs of parallel systems, out of step as well, extend
+# farther.
+STEPS, PER_STEP, LINES = 0.25, 60.0, (-4.6, -4.0)
 # Share of the spectral evidence that also counts against marks, which are irregularly spaced (of
 # 1200 such clips 3 are false positives with it and without).
 REGULAR = 0.5
@@ -85,6 +97,10 @@ class Unclear(StrEnum):
     PIXELS = "too few pixels per wavelength: use tiles of finer pixels, or bound the frequency"
     ALONG = (
         "seen along the crests, or gain that varies along the track: add a pass on another heading"
+    )
+    BANDS = (
+        "bands along the track, evenly spaced in grazing angle: gain over range, or ripples that "
+        "lengthen with it: add a pass on another heading"
     )
 
 
@@ -169,6 +185,9 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     if not waves or waves[0].evidence < 0:
         hidden = any(_wave(image, flat, p).evidence > SURE for p in along[:CANDIDATES])
         unclear = _unclear(image, flat, gains, hidden, bounds)
+    shown = np.array([w.vector for w in waves if w.evidence > 0])
+    if shown.size and follows_grazing(image, flat, shown):
+        return Found([], Unclear.BANDS)
     return Found(waves, unclear)
 
 
@@ -273,6 +292,8 @@ def _rivals(
     """Log odds of a peak against alternative explanations, the fastest tests first."""
     contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # the rest is texture
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
+    if strong > 0:
+        strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)
     told = peak.evidence - PRIOR - (0.0 if whole else PART_TRIALS)
     yield told + strong
     here = extents(*places, peak.per_pixel)
@@ -285,8 +306,10 @@ def _rivals(
     yield PER_WAVE * (here.normal - least)
     there = here if whole else extents(flat, image.valid, peak.per_pixel)
     across = OF_CRESTS * there.crests * min(there.room, 1.0)
-    yield PER_WAVE * (there.normal - min(across, ENOUGH)) + REGULAR * max(told, 0.0)
-    yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel))
+    marks = PER_WAVE * (min(across, ENOUGH) - there.normal)
+    marks += PER_STEP * max(there.out_of_step - STEPS, 0.0) * _ramp(-there.normal, *LINES)
+    yield REGULAR * max(told, 0.0) - marks
+    yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel, there))
 
 
 def _ramp(value: float, low: float, high: float) -> float:

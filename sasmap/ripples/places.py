@@ -18,6 +18,11 @@ BoolArray = NDArray[np.bool_]
 
 # Narrowest strip along the crest normal, over the clip's longer side (a choice).
 STRIP = 1 / 16
+# Least share of a wave's measured energy that counts as its own where speckle makes up more (a
+# choice: keeps the ratio of two small numbers small).
+LEAST_OWN = 0.5
+# Bounds of the correlation of neighbouring pixels: those of grains of 0.3 and 7 pixels.
+LEAST_SHARE, MOST_SHARE = 0.004, 0.99
 # Bins of the profile per wavelength, where it has enough pixels.
 FINE, LONG_ENOUGH = 6, 12.0
 # Ramp of the share of a profile's variance that is not speckle, over which its shape counts.
@@ -29,13 +34,20 @@ DARK_SKEW = (-0.5, -0.2)
 # brightness and of shadow. Simulated wrecks are 1.2 to 1.6 times as bright as the floor, have 1 to
 # 8 % of the clip in shadow and cover 3 to 13 % of it; ripples are 0.96 to 1.05 times as bright.
 LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 14.0, 55.0
+# Ramp of the extent of ribs along the hull over that across it, and how much it counts. Hulls are
+# three to seven times as long as wide; of 280 patches of ripples of any outline 2 % have more than
+# 1.9, of 35 wrecks that resemble ripples half (pipelines/ripples/lookalikes.py, presence.py).
+LONG, LONGER, RIBBED = 2.0, 2.5, 0.5
+# Power of speckle taken off that of a box, over its mean: its power is exponential, so that an
+# eighth of it remains.
+TAKEN_OFF = 2.0
 # Pixels a side of the boxes in which the display power is estimated, standard deviation of Rayleigh
 # speckle over its mean, and least plausible power.
 SPECKLED, RAYLEIGH, LEAST_POWER = 8, 0.523, 0.3
 
 
 class Extents(NamedTuple):
-    """Extent of a wave in wavelengths.
+    """Extent of a wave in wavelengths, and whether its crests keep step.
 
     Attributes
     ----------
@@ -43,11 +55,15 @@ class Extents(NamedTuple):
         Along its normal, and along its crests.
     room : float
         Available length along the normal over that along the crests.
+    out_of_step : float
+        Correlation of neighbouring places on a crest less that of neighbouring crests: about 0 for
+        ripples, forked or not, because a fork disturbs both; up to 1 for separate lines.
     """
 
     normal: float
     crests: float
     room: float
+    out_of_step: float
 
 
 def _width(shape: tuple[int, ...], wave: tuple[float, float]) -> float:
@@ -83,7 +99,32 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     energy = np.maximum(np.where(full, excess / np.maximum(count, 1.0), 0.0), 0.0)
     wide = width * float(np.hypot(*wave))
     room = full.any(axis=1).sum() / (full.any(axis=0).sum() * wide)
-    return Extents(_participation(energy, 0), _participation(energy, 1) * wide, float(room))
+    mean = np.where(full, turned / np.maximum(count, 1.0), 0.0)
+    speckle = np.where(full, mean_noise / np.maximum(count, 1.0), 0.0)
+    step = _step(mean.T, speckle.T) - _step(mean, speckle)
+    return Extents(_participation(energy, 0), _participation(energy, 1) * wide, float(room), step)
+
+
+def _step(mean: NDArray[np.complex128], speckle: FloatArray) -> float:
+    """Correlation of a wave between neighbouring rows of boxes.
+
+    Parameters
+    ----------
+    mean : ndarray (rows, columns)
+        Complex amplitude of boxes, 0 where there is none.
+    speckle : ndarray (rows, columns)
+        Mean square that speckle adds to it.
+
+    Returns
+    -------
+    float
+    """
+    both = (speckle[1:] > 0) & (speckle[:-1] > 0)
+    here, there = mean[1:][both], mean[:-1][both]
+    measured = [float((np.abs(v) ** 2).sum()) for v in (here, there)]
+    added = [float(v[both].sum()) for v in (speckle[1:], speckle[:-1])]
+    own = [max(m - a, LEAST_OWN * m) for m, a in zip(measured, added, strict=True)]
+    return float(abs(np.vdot(there, here)) / max(np.sqrt(own[0] * own[1]), 1e-12))
 
 
 def _participation(energy: FloatArray, axis: int) -> float:
@@ -114,6 +155,29 @@ def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> fl
     energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - variance, 0.0)
     total = float(energy.sum())
     return 2 * float(np.sqrt((energy**2).sum() / total)) / size if total > 0 else 0.0
+
+
+def grain_of(flat: FloatArray, valid: BoolArray) -> float:
+    """Estimate the size of the grain of speckle from the correlation of neighbouring pixels.
+
+    Parameters
+    ----------
+    flat : ndarray (rows, columns)
+        Amplitude over its trend, less 1; 0 where not valid.
+    valid : ndarray of bool (rows, columns)
+
+    Returns
+    -------
+    float
+        Standard deviation, pixels, of the Gaussian that smooths the complex image, of the direction
+        in which it is smaller: the correlation at a distance t is exp(-t^2 / (2 s^2)).
+    """
+    power = max(float((flat[valid] ** 2).mean()), 1e-12)
+    pairs = (flat[1:], flat[:-1], valid[1:], valid[:-1]), (
+        flat[:, 1:], flat[:, :-1], valid[:, 1:], valid[:, :-1]
+    )  # fmt: skip
+    shares = [float((a * b).sum()) / max(int((u & v).sum()), 1) / power for a, b, u, v in pairs]
+    return float(1 / np.sqrt(-2 * np.log(np.clip(min(shares), LEAST_SHARE, MOST_SHARE))))
 
 
 def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
@@ -148,12 +212,12 @@ def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float
     return float(sure * bright * (fourth - 3 * second**2) / signal**2)
 
 
-def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
+def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray, there: Extents) -> float:
     """Measure how much a wave resembles an object: bright, in one place, with a shadow.
 
     Averaged over a wavelength, ripples scatter as much as the floor around, and their shadow is
-    shorter than a wavelength. The ribs of a wreck are small, brighter than the floor, and beside a
-    dark shadow.
+    shorter than a wavelength. The ribs of a wreck are small, brighter than the floor, beside a
+    dark shadow, and side by side along a narrow hull.
 
     Parameters
     ----------
@@ -162,6 +226,8 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
         Cycles per column and row.
+    there : Extents
+        Of the wave in the whole clip.
 
     Returns
     -------
@@ -176,7 +242,7 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
     if full.sum() < 4:
         return 0.0
     variance = float((flat[valid] ** 2).mean())
-    energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - variance, 0.0)
+    energy = np.maximum(np.abs(turned[full]) ** 2 / count[full] - TAKEN_OFF * variance, 0.0)
     if not energy.max() > 0:
         return 0.0
     level = 1 + total[full] / count[full]
@@ -187,7 +253,9 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> flo
     bright = float((weight * level).sum() / weight.sum()) - 1
     dark = float((level < DARK * np.median(level)).mean())
     small = float(np.clip((LARGE - share) / (LARGE - SMALL), 0, 1))
-    return small * (BRIGHT * max(bright, 0.0) + SHADED * dark)
+    shape = there.normal / max(there.crests * there.room, 1e-9)
+    narrow = float(np.clip((shape - LONG) / (LONGER - LONG), 0, 1))
+    return small * (BRIGHT * max(bright, 0.0) + SHADED * dark + RIBBED * narrow)
 
 
 def _compression(flat: FloatArray, valid: BoolArray) -> float:

@@ -17,6 +17,10 @@ LOOKS, SHOWN = 12, 0.25
 # Wavelengths that a window should hold at least, and ideally (docs/guide.md); step of suggestions,
 # pixels.
 ENOUGH, WANTED, STEP = 5.0, 8.0, 10
+# Windows that are tried in turn, cells a side, until one shows ripples: the last holds 3.5
+# wavelengths where a cell holds half a one. Most pixels a side of those after the first (a choice:
+# seconds).
+WINDOWS, LARGEST = (WIDER, 2 * WIDER, 4 * WIDER), 1200
 
 
 def describe_window(plan: Plan) -> Iterator[str]:
@@ -38,7 +42,10 @@ def describe_window(plan: Plan) -> Iterator[str]:
     """
     if plan.settings.ripples is None:
         return
-    lengths, seen = _wavelengths(plan)
+    lengths, seen = _wavelengths(plan, WIDER)
+    for cells in WINDOWS[1:]:
+        if not lengths and cells * plan.settings.window <= LARGEST:
+            lengths, _ = _wavelengths(plan, cells)
     if not lengths:
         yield f"window: no ripples in {seen} looks across the survey"
         return
@@ -53,8 +60,8 @@ def describe_window(plan: Plan) -> Iterator[str]:
         yield f"{about}: {wanted} px hold eight, {plan.settings.window} px hold {held:.0f}"
 
 
-def _wavelengths(plan: Plan) -> tuple[list[float], int]:
-    """Wavelengths (m) in looks with ripples, in windows wider than a cell; looks examined."""
+def _wavelengths(plan: Plan, cells: float) -> tuple[list[float], int]:
+    """Wavelengths (m) in looks with ripples, in windows of so many cells a side; looks examined."""
     settings = plan.settings.ripples
     assert settings is not None
     pairs = [(cell, k) for cell, looks in plan.cells.items() for k in looks]
@@ -62,7 +69,7 @@ def _wavelengths(plan: Plan) -> tuple[list[float], int]:
     lengths, seen = [], 0
     for cell, k in (pairs[i] for i in chosen):
         look = plan.swaths[k]
-        array = clip_of(plan, cell, look, look.side, WIDER)
+        array = clip_of(plan, cell, look, look.side, cells)
         clip = None if array is None else Clip.from_array(array)
         if clip is None or clip.valid.mean() < SHOWN or np.ptp(clip.amplitude[clip.valid]) == 0:
             continue

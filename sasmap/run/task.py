@@ -287,13 +287,15 @@ def clip_of(
     left, _, _, top = grid.bounds(cell)
     before, size = 0.5 * (window - 1) * grid.size, window * grid.size
     square = CellGrid(grid.crs, left - before, top + before, size, 1, 1, size)
-    return read_clip(look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look))
+    return read_clip(
+        look.sonar_pass, square, Cell(0, 0), side, tiles_around(plan, cell, look, window)
+    )
 
 
-def tiles_around(plan: Plan, cell: Cell, look: Swath) -> tuple[Tile, ...]:
-    """Tiles of a look's pass that show a cell or its surroundings of half a cell, each once."""
+def tiles_around(plan: Plan, cell: Cell, look: Swath, window: float = WIDER) -> tuple[Tile, ...]:
+    """Tiles of a look's pass that show a window of so many cells a side, each once."""
     met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
-    reach = int(np.ceil(0.5 * (WIDER - 1) * grid.size / grid.spacing - 1e-9))
+    reach = int(np.ceil(0.5 * (window - 1) * grid.size / grid.spacing - 1e-9))
     steps = range(-reach, reach + 1)
     cells = [Cell(cell.row + r, cell.column + c) for r in steps for c in steps]
     found = {tile.path: tile for one in cells for tile in met.get(one, ())}

@@ -51,6 +51,15 @@ def test_the_plan_suggests_a_window_that_holds_eight_waves(found):
     assert f"{WINDOW} px hold 2.4" in line
 
 
+def test_the_plan_names_the_window_where_a_cell_holds_hardly_one_wave(found):
+    plan = make_plan(
+        sasmap.load_survey(found[0].parent / "survey.yaml").model_copy(update={"window": 40})
+    )
+    (line,) = describe_window(plan)
+    assert "wavelengths of about 2.5 m" in line
+    assert "40 px hold 0.8; 400 px hold eight" in line
+
+
 def test_wider_estimates_are_kept(found):
     _, first, again = found
     assert (again.computed, again.kept) == (0, first.computed + first.kept)
