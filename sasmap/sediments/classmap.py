@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, uniform_filter
+from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
-from skimage.measure import label as measure_label
 
 from sasmap.sediments.classes import Classes
 from sasmap.sediments.field import mean_field, table_sums, window_sums
+from sasmap.sediments.patches import patches, rims
 from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
 
@@ -207,8 +207,7 @@ def sieved(
     -------
     ndarray of uint8 (rows, columns)
     """
-    parts = measure_label(label, background=0, connectivity=1)
-    size = np.bincount(parts.ravel())
+    parts, size = patches(label)
     few = size < smallest
     if among is not None:
         few &= np.bincount(parts[among], minlength=size.size) >= 0.5 * size
@@ -219,11 +218,10 @@ def sieved(
     if not few.any():
         return label
     lost = few[parts]
-    kept = (label > 0) & ~lost
-    if not kept.any():
-        return label
     # what is nearest lies at a rim
-    rim = np.argwhere(kept & binary_dilation(~kept, np.ones((3, 3))))
+    rim = rims((label > 0) & ~lost)
+    if not len(rim):
+        return label
     nearest = rim[cKDTree(rim).query(np.argwhere(lost))[1]]
     result = label.copy()
     result[lost] = label[tuple(nearest.T)]
