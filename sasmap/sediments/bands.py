@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.numerics.order import median
 from sasmap.sediments.trends import Blocks, Real, log_angle, log_reach, trend_of
 
 FloatArray = NDArray[np.float64]
@@ -309,7 +310,7 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
         return gain
     for _ in range(ROUNDS):
         before = gain
-        scale = 1.5 * np.median(np.abs(_rest(first, second, change, gain))) + 1e-9
+        scale = 1.5 * median(np.abs(_rest(first, second, change, gain))) + 1e-9
         joined, right = _weighed(first, second, change, gain, scale)
         joined += joined.T
         matrix = np.diag(joined.sum(axis=1) + RIDGE) - joined

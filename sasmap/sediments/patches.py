@@ -78,6 +78,25 @@ def _renumbered(number, first, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def pixels_of(label):  # type: ignore[no-untyped-def]
+    """Pixels of each number of a map.
+
+    Parameters
+    ----------
+    label : ndarray of uint8 (rows, columns)
+
+    Returns
+    -------
+    ndarray of int (256,)
+    """
+    total = np.zeros(256, np.int64)
+    for r in range(label.shape[0]):
+        for c in range(label.shape[1]):
+            total[label[r, c]] += 1
+    return total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def rims(mask):  # type: ignore[no-untyped-def]
     """Pixels of a mask that touch, by side or corner, some that are not; where there are none, [].
 

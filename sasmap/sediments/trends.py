@@ -12,6 +12,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.numerics.order import median
+
 FloatArray = NDArray[np.float64]
 Real = TypeVar("Real", bound=np.floating[Any])
 
@@ -166,7 +168,7 @@ def _slope(block: Blocks) -> FloatArray:
     found: FloatArray = np.zeros(2)
     for _ in range(ROUNDS):
         before = found
-        scale = 1.5 * np.median(np.abs(y - found[0] * ahead - found[1] * bent)) + 1e-9
+        scale = 1.5 * median(np.abs(y - found[0] * ahead - found[1] * bent)) + 1e-9
         matrix, right = _weighed(y, ahead, bent, found, scale)
         # what nothing tells stays at 0
         matrix += np.diag([1e-4, 1e-3])
