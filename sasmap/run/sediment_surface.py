@@ -303,7 +303,7 @@ def _find_objects(surface: Surface, part: Part) -> tuple[bool, NDArray[np.int64]
         amplitude = one.amplitude[wide]
         if np.isnan(amplitude).all():
             continue
-        found = find_objects(amplitude, look.cotangent[wide].astype(np.float32), rippled, inner)
+        found = find_objects(amplitude, look.cotangent[wide], rippled, inner)
         if found.object.any():
             look.hidden[part] = found.object + np.uint8(2) * found.shadow
             things |= found.object

@@ -118,12 +118,9 @@ def averaged(
     there = mask & np.isfinite(likelihood[0])
     if not there.any():
         return likelihood
-    share = np.maximum(uniform_filter(there.astype(np.float32), side, mode="constant"), 1e-6)
-    result = likelihood.copy()
-    for k, values in enumerate(likelihood):
-        sums = uniform_filter(np.where(there, values, np.float32(0)), side, mode="constant")
-        result[k][there] = (sums / share)[there]
-    return result
+    sums = np.empty((len(likelihood) + 1, *there.shape), np.float32)
+    window_sums(np.where(there, np.vstack([likelihood, there[None]]), np.float32(0)), side, sums)
+    return np.where(there, sums[:-1] / np.maximum(sums[-1], 1), likelihood)
 
 
 def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:

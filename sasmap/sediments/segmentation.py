@@ -95,7 +95,9 @@ class _Survey:
             flat = self.flat(trends, self.bands)
             chosen = _sampled(flat, labels, DESCRIBED)
             gains = gain_of(self.blocks, trends, self.bands)
-            self.texture = BlockTexture.of(flat, gains, labels.shape, chosen, self.workers)
+            self.texture = BlockTexture.of(
+                flat, gains, labels.shape, chosen, self.workers, self.rippled
+            )
         described = self.texture.under(self.blocks, trends, bands, dark)
         return described, self.texture.shown
 
