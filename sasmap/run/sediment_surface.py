@@ -33,8 +33,8 @@ Part = tuple[slice, slice]
 
 # Pixels a side of the pieces in which ripples and objects are looked for.
 PIECE = 8 * LATTICE
-# Pixels a side of the blocks that rasters are stored in, and the least where these fit cells: rows of
-# a part of a block are written one by one, which took a twentieth of the stage.
+# Pixels a side of the blocks that rasters are stored in, and the least where these fit cells: rows
+# of a part of a block are written one by one, which took a twentieth of the stage.
 WHOLE, FEWEST = 256, 128
 # Share of a class's training that may lie on objects, if these are to be no sediment.
 TAUGHT = 0.05

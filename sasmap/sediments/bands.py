@@ -324,7 +324,7 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _rest(first, second, change, gain):  # type: ignore[no-untyped-def]
-    """What of differences gains leave."""
+    """Take gains off differences."""
     rest = np.empty(change.size)
     for i in range(change.size):
         rest[i] = change[i] - gain[first[i]] + gain[second[i]]

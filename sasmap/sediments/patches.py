@@ -8,7 +8,7 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def patches(label):  # type: ignore[no-untyped-def]
-    """Number the patches of a map: pixels of one class that touch by their sides.
+    """Find the patches of a map: pixels of one class that touch by their sides.
 
     Parameters
     ----------

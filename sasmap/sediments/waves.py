@@ -180,9 +180,7 @@ def _waves_about(
     mine = [part for part in every if _overlap(part, asked)]
     found = [(p, w) for p, w in zip(mine, _waves(level, known, mine, size), strict=True) if w]
     doubtful = [p for p, wave in found if wave.rise < RISES[1]]
-    beside = [
-        p for p in every if not _overlap(p, asked) and any(_overlap(p, d) for d in doubtful)
-    ]
+    beside = [p for p in every if not _overlap(p, asked) and any(_overlap(p, d) for d in doubtful)]
     others = [(p, w) for p, w in zip(beside, _waves(level, known, beside, size), strict=True) if w]
     sure = [(p, wave) for p, wave in found + others if wave.rise >= RISES[1]]
     for part, wave in found:
@@ -314,7 +312,7 @@ class _Along:
         self._kernels: dict[tuple[float, float], tuple[Single, Single]] = {}
 
     def _spread(self, across: float, along: float, axis: int) -> float:
-        """Standard deviation, pixels, along an axis of a Gaussian of so many wavelengths."""
+        """Return the standard deviation (pixels) along an axis of a Gaussian in wavelengths."""
         way = self._way[axis], self._way[1 - axis]
         return self._length * hypot(across * way[0], along * way[1])
 
@@ -338,11 +336,14 @@ class _Along:
         widest = hypot(self._way[1] / across, self._way[0] / along) / (2 * np.pi * self._length)
         most = min(int(REACHES * widest * columns) + 1, (columns - 1) // 2)
         r = np.fft.fftfreq(rows).astype(np.float32)[:, None]
-        c = (np.concatenate([np.arange(most + 1), np.arange(-most, 0)]) / columns).astype(np.float32)
+        cycles = np.concatenate([np.arange(most + 1), np.arange(-most, 0)])
+        c = (cycles / columns).astype(np.float32)
         ahead = np.square(r * np.float32(self._way[0]) + c * np.float32(self._way[1]))
         beside = np.square(r * np.float32(self._way[1]) - c * np.float32(self._way[0]))
         size = 0.5 * (2 * np.pi * self._length) ** 2
-        return np.exp(-np.float32(size * across**2) * ahead - np.float32(size * along**2) * beside)
+        ahead *= np.float32(-size * across**2)
+        beside *= np.float32(-size * along**2)
+        return np.asarray(np.exp(ahead + beside))
 
     def _convolved(self, half: NDArray[Any], kernel: Single) -> NDArray[Any]:
         """Convolve columns of a spectrum along the other axis."""
@@ -371,7 +372,10 @@ def _profile(
     wave: tuple[float, float],
     columns: int = 1,
 ) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
-    """Where ripples are, and their log intensity over that of flat floor; the axis of columns."""
+    """Where ripples are, and their log intensity over that of flat floor.
+
+    `columns` is the axis of the map's columns: an image may be turned.
+    """
     if abs(wave[1]) > abs(wave[0]):  # averages are cheaper where crests run along the rows
         there, total = _profile(level.T, known.T, (wave[1], wave[0]), 1 - columns)
         return there.T, total.T
@@ -406,11 +410,10 @@ def _folded(
     flat: Single, wave: NDArray[np.complexfloating], count: int, average: _Along
 ) -> NDArray[np.floating]:
     """Mean profile by so many harmonics of a wave, whose phase is that of complex numbers."""
-    turns = [wave]
-    for _ in range(count - 1):
-        turns.append(turns[-1] * wave)
     total = np.zeros(flat.shape, np.float32)
-    for turn in turns:
+    turn = np.ones_like(wave)
+    for _ in range(count):
+        turn *= wave
         mean = average(flat * np.conj(turn), *PROFILE)
         total += 2 * (mean.real * turn.real - mean.imag * turn.imag)
     return total

@@ -73,7 +73,7 @@ class Track:
     y: FloatArray
     altitude: FloatArray
 
-    def locate(self, x: FloatArray, y: FloatArray, step: int = 1) -> Geometry:
+    def locate(self, x: FloatArray, y: FloatArray, *, step: int = 1) -> Geometry:
         """Find the track's nearest point (broadside look) for map points.
 
         Parameters
@@ -112,7 +112,7 @@ class Track:
         rest = _interpolate(rows, columns, self.locate(x[some], y[some]), out, starboard)
         for target, values in zip((*out, starboard), self.locate(x[rest], y[rest]), strict=True):
             target[rest] = values
-        return Geometry(*out, starboard)
+        return Geometry(out[0], out[1], out[2], starboard)
 
     @cached_property
     def _tree(self) -> tuple[NDArray[np.int64], FloatArray]:

@@ -104,7 +104,7 @@ class SonarPass:
         Geometry
             As of :meth:`Track.locate`; the distance is NaN on the other side as well.
         """
-        seen = self.track.locate(x, y, step)
+        seen = self.track.locate(x, y, step=step)
         if len(self.sides) == 1:
             seen.distance[seen.starboard != (self.sides[0] == "starboard")] = np.nan
         return seen

@@ -47,8 +47,8 @@ def on_cell(
         )
         across = (column >= 0) & (column < width)
         down = (row >= 0) & (row < height)
-        here, there = np.ix_(down, across), np.ix_(row[down], column[across])
-        result[..., here[0], here[1]] = model[..., there[0], there[1]]
+        part = [slice(int(v.argmax()), int(v.argmax() + v.sum())) for v in (down, across)]
+        result[..., part[0], part[1]] = model[..., row[down][:, None], column[across]]
         return result
     offset = np.stack(np.broadcast_arrays(x[None, :] - first[0], y[:, None] - first[1]))
     column, row = np.rint(np.einsum("ij,jkl->ikl", np.linalg.inv(steps), offset)).astype(int)
