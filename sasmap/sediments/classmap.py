@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
 
 from sasmap.sediments.classes import Classes
-from sasmap.sediments.field import mean_field, table_sums, window_sums
+from sasmap.sediments.field import likeliest, mean_field, table_sums, window_sums
 from sasmap.sediments.patches import patches, rims
 from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
@@ -174,10 +174,10 @@ def class_map(
     window_sums(level, FIRST_WINDOW, share)
     share = _softmax(share) * seen
     mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
-    label = np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8)
+    label, highest = likeliest(share, seen)
     label = sieved(label, whole=whole)
     sediment = seen & (label <= (count or len(level)))
-    chosen = np.where(sediment, share.max(axis=0), np.nan).astype(np.float32)
+    chosen = np.where(sediment, highest, np.float32(np.nan))
     return ClassMap(np.where(sediment, label, 0).astype(np.uint8), chosen)
 
 
