@@ -39,7 +39,7 @@ CERTAIN, UNSEEN = 200, 255
 # Side, in cells, of the window in which a wavelength too long for a cell is estimated.
 WIDER = 2.0
 # Pixels from one whose place by the track is found to the next, for the floor alone: between them
-# it is linear to 0.01 % of the distance, a fifth of what the stored cotangents tell apart.
+# it is linear to 0.1 % of the distance or less, which is what the stored cotangents tell apart.
 LOCATED = 8
 # Most pixels a side of a modelled image, and draws per chain, stored for the report: what a figure
 # can show.

@@ -84,8 +84,8 @@ class Track:
         step : int
             Rows and columns from one that is located to the next. Between four points that are seen
             from one side, distance and altitude are linear and the azimuth is the nearest one's.
-            With 0.4 m between points and headings that change by 0.1 radian from ping to ping the
-            distance is off by 5 mm at most, by up to half a step where two parts of a track that
+            With 0.4 m between points and headings that scatter by 0.05 radian from ping to ping the
+            distance is off by 10 mm at most, by up to half a step where two parts of a track that
             turns are equally near.
 
         Returns
