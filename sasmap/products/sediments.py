@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import rasterio
 import shapely
@@ -179,10 +180,21 @@ def _sums(
     if here.size:
         marked = [(outlines[i], int(i) + 1) for i in np.sort(here)]
         place = Affine.translation(0, top)
-        number = rasterize(marked, confidence.shape, transform=place, dtype="int32").ravel()
-        for row, weight in zip(total, (None, np.nan_to_num(confidence).ravel()), strict=True):
-            row += np.bincount(number, weight, minlength=len(outlines) + 1)[1:]
+        number = rasterize(marked, confidence.shape, transform=place, dtype="int32")
+        _add_up(number, confidence, total)
     return total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_up(number, confidence, total):  # type: ignore[no-untyped-def]
+    """Add pixels and their confidence, where there is one, to the numbers (from 1) they bear."""
+    for r in range(number.shape[0]):
+        for c in range(number.shape[1]):
+            k = number[r, c] - 1
+            if k >= 0:
+                total[0, k] += 1
+                if np.isfinite(confidence[r, c]):
+                    total[1, k] += confidence[r, c]
 
 
 def _feature(line: Line, names: Sequence[str], transform: Affine, step: float) -> Feature:

@@ -23,7 +23,8 @@ from sasmap.sediments.carrying import carry_over
 from sasmap.sediments.classes import Classes
 from sasmap.sediments.classmap import averaged, below_best, class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
-from sasmap.sediments.mapping import Line, paint, refined, traced
+from sasmap.sediments.mapping import Line, paint, refined, sides, traced
+from sasmap.sediments.patches import pixels_of
 from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import MARGIN, SHARED
 from sasmap.sediments.training import train_classes
@@ -38,8 +39,6 @@ OBJECT, CERTAIN = "object", 0.9
 PROBABILITY = 0.002
 # Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
 FEWEST_RIPPLED = 4096
-# Pixels beside a line within which it must part two classes.
-BESIDE = 3
 # Pixels a side over which rippled floor is classed by its average: one to three wavelengths, half
 # of the longest. Speckle of troughs in shadow is noise, whose law is no sediment's.
 WAVES = 2 * HALO + 1
@@ -197,7 +196,7 @@ class SedimentMap:
         """Count pixels by number of the class (256,)."""
         total = np.zeros(256, np.int64)
         for top in range(0, self.label.shape[0], SIDE):
-            total += np.bincount(self.label[slice(top, top + SIDE)].ravel(), minlength=256)
+            total += pixels_of(self.label[slice(top, top + SIDE)])
         return total
 
     def table(self, pixel_area: float, drawn: Sequence[Drawn]) -> list[dict[str, Any]]:
@@ -333,15 +332,8 @@ def map_sediments(
 
 def _parts(label: Canvas, line: Line) -> bool:
     """Whether a line still parts two classes of a map whose small patches were given away."""
-    points = np.rint(line.boundary.points[::4]).astype(int)
-    parted = 0
-    for row, column in points:
-        around = label[
-            slice(max(row - BESIDE, 0), row + BESIDE + 1),
-            slice(max(column - BESIDE, 0), column + BESIDE + 1),
-        ]
-        parted += around.size > 0 and np.unique(around).size > 1
-    return bool(2 * parted >= len(points))
+    left, right = sides(label, line.boundary.points, line.boundary.closed)
+    return bool(2 * (left != right).sum() >= left.size)
 
 
 def _without_small(

@@ -121,7 +121,6 @@ def _map(
         if found is None:
             return []
         _record(plan, outcome, found.surface.faults)
-        codes = ("",) * len(found.names) if known is None else known.codes_of(found.names)
         written = write_sediments(
             store.output,
             found.label,
@@ -129,7 +128,7 @@ def _map(
             found.rippled,
             found.lines,
             found.every_name,
-            (*codes, "") if found.objects else codes,
+            (*_codes(known, found.names), *[""] * found.objects),
             transform,
             grid.crs,
             tags_of(plan),
@@ -139,17 +138,20 @@ def _map(
         outcome.sediments = found.table(abs(transform.determinant), drawn)
         outcome.histograms = [one.histogram() for one in drawn]
         names, classes = found.unmerged or (found.names, found.classes)
-        codes = ("",) * len(names) if known is None else known.codes_of(names)
     _warn(plan, outcome)
     written.append(store.output / "sediment_classes.json")
     write_text(
         written[-1],
-        model_text(names, codes, classes, found.surface.apart),
+        model_text(names, _codes(known, names), classes, found.surface.apart),
         store.scratch,
     )
     if not found.surface.faults:
         _keep(store, key, outcome, written)
     return written
+
+
+def _codes(known: ClassModel | None, names: Sequence[str]) -> tuple[str, ...]:
+    return ("",) * len(names) if known is None else known.codes_of(names)
 
 
 def _warn(plan: Plan, outcome: Outcome) -> None:

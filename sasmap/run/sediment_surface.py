@@ -33,6 +33,9 @@ Part = tuple[slice, slice]
 
 # Pixels a side of the pieces in which ripples and objects are looked for.
 PIECE = 8 * LATTICE
+# Pixels a side of the blocks that rasters are stored in, and the least where these fit cells: rows
+# of a part of a block are written one by one, which took a twentieth of the stage.
+WHOLE, FEWEST = 256, 128
 # Share of a class's training that may lie on objects, if these are to be no sediment.
 TAUGHT = 0.05
 
@@ -106,7 +109,7 @@ class Slices:
         """Read a slice; NaN where there is no amplitude."""
         amplitude = _known(self._look.amplitude[part])
         profile = self._look.profile[part]
-        if profile.any():
+        if profile.view(np.uint16).any():  # as whole numbers, which are looked at much faster
             amplitude *= np.exp(-profile.astype(np.float32))
         return amplitude
 
@@ -221,20 +224,23 @@ def lay(
     Surface
     """
 
-    def canvas(name: str, dtype: str) -> Canvas:
-        return stack.enter_context(Canvas(scratch / f"{name}.part", ground.shape, dtype))
+    def canvas(name: str, dtype: str, block: int = WHOLE) -> Canvas:
+        path = scratch / f"{name}.part"
+        return stack.enter_context(Canvas(path, ground.shape, dtype, block))
 
+    cells = _block_of(ground.window)
     looks = tuple(
         Look(
-            canvas(f"amplitude{k}", "float32"),
-            canvas(f"cotangent{k}", "float16"),
-            canvas(f"altitude{k}", "float16"),
+            canvas(f"amplitude{k}", "float32", cells),
+            canvas(f"cotangent{k}", "float16", cells),
+            canvas(f"altitude{k}", "float16", cells),
             canvas(f"profile{k}", "float16"),
             canvas(f"hidden{k}", "uint8"),
         )
         for k in range(ground.looks)
     )
-    marks = canvas("marks", "uint8") if known is not None and known.marks is not None else None
+    shown = known is not None and known.marks is not None
+    marks = canvas("marks", "uint8", cells) if shown else None
     surface = Surface(
         ground.shape, looks, canvas("rippled", "uint8"), canvas("objects", "uint8"), marks, []
     )
@@ -297,7 +303,7 @@ def _find_objects(surface: Surface, part: Part) -> tuple[bool, NDArray[np.int64]
         amplitude = one.amplitude[wide]
         if np.isnan(amplitude).all():
             continue
-        found = find_objects(amplitude, look.cotangent[wide].astype(np.float32), rippled, inner)
+        found = find_objects(amplitude, look.cotangent[wide], rippled, inner)
         if found.object.any():
             look.hidden[part] = found.object + np.uint8(2) * found.shadow
             things |= found.object
@@ -372,6 +378,12 @@ def _conserve(surface: Surface, pieces: list[Part], workers: Workers) -> None:
             look.profile[part] = look.profile[part] - np.where(rippled, values, np.float32(0))
 
     deque(mapped(change, pieces, workers), 0)
+
+
+def _block_of(window: int) -> int:
+    """Blocks of a raster that is written cell by cell: whole ones in a cell, if that can be."""
+    parts = (window // k for k in range(1, window // FEWEST + 1) if window % k == 0)
+    return next((side for side in parts if side <= 2 * WHOLE), WHOLE)
 
 
 def _known(amplitude: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -38,6 +38,9 @@ MIN_VALID = 0.25
 CERTAIN, UNSEEN = 200, 255
 # Side, in cells, of the window in which a wavelength too long for a cell is estimated.
 WIDER = 2.0
+# Pixels from one whose place by the track is found to the next, for the floor alone: between them
+# it is linear to 0.1 % of the distance or less, which is what the stored cotangents tell apart.
+LOCATED = 8
 # Most pixels a side of a modelled image, and draws per chain, stored for the report: what a figure
 # can show.
 PICTURE, DRAWS = 250, 100
@@ -259,13 +262,15 @@ def extent_beside(
 
 def _floor(plan: Plan, cell: Cell, pixels: Clip) -> dict[str, NDArray[Any]]:
     """Amplitude, cotangent of grazing and altitude on a cell's own pixels."""
-    place = plan.opened.grid, cell, plan.settings.window
     known = np.where(pixels.valid, pixels.amplitude, np.nan)
-    cotangent = on_cell(pixels, pixels.ground_range / pixels.altitude, *place)
+    layers = np.stack([known, pixels.ground_range / pixels.altitude, pixels.altitude])
+    amplitude, cotangent, altitude = on_cell(
+        pixels, layers, plan.opened.grid, cell, plan.settings.window
+    )
     return {
-        "amplitude": on_cell(pixels, known, *place).astype(np.float32),
+        "amplitude": amplitude,
         "cotangent": np.minimum(cotangent, 6e4).astype(np.float16),
-        "altitude": np.minimum(on_cell(pixels, pixels.altitude, *place), 6e4).astype(np.float16),
+        "altitude": np.minimum(altitude, 6e4).astype(np.float16),
     }
 
 
@@ -404,7 +409,8 @@ def read_floor(context: Context, cell: Cell, k: int, key: str | None) -> Floor |
     names = ("amplitude", "cotangent", "altitude")
     kept = store.load_arrays(key, names) if key is not None else None
     if kept is None:
-        clip = clip_of(plan, cell, look, look.side)
+        tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
+        clip = read_clip(look.sonar_pass, plan.opened.grid, cell, look.side, tiles, LOCATED)
         if clip is None:
             return None
         floor = _floor(plan, cell, Clip.from_array(clip))

@@ -14,9 +14,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.numerics.order import median
 from sasmap.sediments.trends import Blocks, Real, log_angle, log_reach, trend_of
 
 FloatArray = NDArray[np.float64]
@@ -307,18 +309,37 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
     if change.size < 2 * count:
         return gain
     for _ in range(ROUNDS):
-        before, rest = gain, change - gain[first] + gain[second]
-        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
-        weight = 1 / (1 + (rest / scale) ** 2) ** 2
-        joined = np.bincount(first * count + second, weight, minlength=count**2)
-        joined = joined.reshape(count, count)
+        before = gain
+        scale = 1.5 * median(np.abs(_rest(first, second, change, gain))) + 1e-9
+        joined, right = _weighed(first, second, change, gain, scale)
         joined += joined.T
         matrix = np.diag(joined.sum(axis=1) + RIDGE) - joined
-        right = np.bincount(first, weight * change, minlength=count)
-        right -= np.bincount(second, weight * change, minlength=count)
         gain = np.linalg.solve(matrix, right)
         if np.abs(gain - before).max() < SETTLED:
             break
     gain -= gain.mean()
     # so far below it is the water column, not a beam pattern
     return np.where(gain < np.median(gain) - LOWEST, np.nan, gain)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _rest(first, second, change, gain):  # type: ignore[no-untyped-def]
+    """Take gains off differences."""
+    rest = np.empty(change.size)
+    for i in range(change.size):
+        rest[i] = change[i] - gain[first[i]] + gain[second[i]]
+    return rest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weighed(first, second, change, gain, scale):  # type: ignore[no-untyped-def]
+    """Weights of pairs of bins, and what their differences add up to in each bin."""
+    joined, right = np.zeros((gain.size, gain.size)), np.zeros(gain.size)
+    for i in range(change.size):
+        a, b = first[i], second[i]
+        rest = (change[i] - gain[a] + gain[b]) / scale
+        weight = 1 / (1 + rest * rest) ** 2
+        joined[a, b] += weight
+        right[a] += weight * change[i]
+        right[b] -= weight * change[i]
+    return joined, right

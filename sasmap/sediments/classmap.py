@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, uniform_filter
+from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
-from skimage.measure import label as measure_label
 
 from sasmap.sediments.classes import Classes
-from sasmap.sediments.field import mean_field, table_sums, window_sums
+from sasmap.sediments.field import likeliest, mean_field, table_sums, window_sums
+from sasmap.sediments.patches import patches, rims
 from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
 
@@ -118,12 +118,9 @@ def averaged(
     there = mask & np.isfinite(likelihood[0])
     if not there.any():
         return likelihood
-    share = np.maximum(uniform_filter(there.astype(np.float32), side, mode="constant"), 1e-6)
-    result = likelihood.copy()
-    for k, values in enumerate(likelihood):
-        sums = uniform_filter(np.where(there, values, np.float32(0)), side, mode="constant")
-        result[k][there] = (sums / share)[there]
-    return result
+    sums = np.empty((len(likelihood) + 1, *there.shape), np.float32)
+    window_sums(np.where(there, np.vstack([likelihood, there[None]]), np.float32(0)), side, sums)
+    return np.where(there, sums[:-1] / np.maximum(sums[-1], 1), likelihood)
 
 
 def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -177,10 +174,10 @@ def class_map(
     window_sums(level, FIRST_WINDOW, share)
     share = _softmax(share) * seen
     mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
-    label = np.where(seen, np.argmax(share, axis=0) + 1, 0).astype(np.uint8)
+    label, highest = likeliest(share, seen)
     label = sieved(label, whole=whole)
     sediment = seen & (label <= (count or len(level)))
-    chosen = np.where(sediment, share.max(axis=0), np.nan).astype(np.float32)
+    chosen = np.where(sediment, highest, np.float32(np.nan))
     return ClassMap(np.where(sediment, label, 0).astype(np.uint8), chosen)
 
 
@@ -207,8 +204,7 @@ def sieved(
     -------
     ndarray of uint8 (rows, columns)
     """
-    parts = measure_label(label, background=0, connectivity=1)
-    size = np.bincount(parts.ravel())
+    parts, size = patches(label)
     few = size < smallest
     if among is not None:
         few &= np.bincount(parts[among], minlength=size.size) >= 0.5 * size
@@ -219,11 +215,10 @@ def sieved(
     if not few.any():
         return label
     lost = few[parts]
-    kept = (label > 0) & ~lost
-    if not kept.any():
-        return label
     # what is nearest lies at a rim
-    rim = np.argwhere(kept & binary_dilation(~kept, np.ones((3, 3))))
+    rim = rims((label > 0) & ~lost)
+    if not len(rim):
+        return label
     nearest = rim[cKDTree(rim).query(np.argwhere(lost))[1]]
     result = label.copy()
     result[lost] = label[tuple(nearest.T)]

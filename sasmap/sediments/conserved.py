@@ -122,17 +122,19 @@ def bed_of(
 
 
 def _changes(logs: NDArray[np.float32], there: NDArray[np.bool_]) -> FloatArray:
-    """Find what power means are over the plain one, log amplitude, by blocks."""
-    width = AVERAGED / STEP
-    share = np.maximum(gaussian_filter(there.astype(np.float32), width, mode="nearest"), 1e-3)
+    """Find what power means are over the plain one, log amplitude, by blocks.
+
+    A block's mean stands for its pixels: the averages are four blocks wide.
+    """
+    width = AVERAGED / BLOCK
+    many = _blocks(there)
+    share = np.maximum(gaussian_filter(many, width, mode="nearest"), 1e-3)
     found = []
     for power in POWERS:
-        raised = np.where(there, np.exp(logs / np.float32(power)), np.float32(0))
+        raised = _blocks(np.where(there, np.exp(logs / np.float32(power)), np.float32(0)))
         mean = gaussian_filter(raised, width, mode="nearest") / share
-        found.append(power * np.log(np.maximum(mean, np.float32(1e-20))))
-    many = np.maximum(_blocks(there), 1)
-    parts = [_blocks(np.where(there, v - found[LAMBERT], 0.0)) / many for v in found]
-    return np.stack(parts)
+        found.append(power * np.log(np.maximum(mean, 1e-20)))
+    return np.where(many > 0, np.stack(found) - found[LAMBERT], 0.0)
 
 
 def _blocks(values: NDArray[Any]) -> FloatArray:

@@ -76,6 +76,7 @@ class BlockTexture:
         shape: tuple[int, ...],
         chosen: Sequence[Part],
         workers: Workers,
+        rippled: NDArray[np.bool_] | None = None,
     ) -> BlockTexture:
         """Describe tiles.
 
@@ -89,12 +90,16 @@ class BlockTexture:
         chosen : sequence of tuple of slice
         workers : int, None or callable
             Threads, or what spreads work.
+        rippled : ndarray of bool (block rows, block columns), optional
+            Blocks that will be left out under every gain.
 
         Returns
         -------
         BlockTexture
         """
-        sums = [_texture_sums(look, shape, chosen, workers) for look in flat]
+        clear = np.ones(shape, bool) if rippled is None else ~rippled
+        parts = [part for one in chosen if (part := _bounds(one, clear)) is not None]
+        sums = [_texture_sums(look, shape, parts, workers) for look in flat]
         return cls(sums, gains, _shown(chosen, shape))
 
     def under(
@@ -168,6 +173,21 @@ def _texture_sums(
     for part, sums in zip(chosen, mapped(add, chosen, workers), strict=True):
         result[blocks_in(part)] = sums
     return result
+
+
+def _bounds(tile: Part, blocks: NDArray[np.bool_]) -> Part | None:
+    """Smallest part of a tile that holds some blocks; None where it holds none."""
+    held = blocks[blocks_in(tile)]
+    if not held.any():
+        return None
+    ends = [np.flatnonzero(held.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+    first, last = zip(*ends, strict=True)
+    (top, left), (bottom, right) = first, last
+    row, column = tile[0].start, tile[1].start
+    return (
+        slice(row + int(top) * BLOCK, row + (int(bottom) + 1) * BLOCK),
+        slice(column + int(left) * BLOCK, column + (int(right) + 1) * BLOCK),
+    )
 
 
 def block_texture(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -97,6 +97,32 @@ def mean_field(level, seen, share, window, strength, rounds):  # type: ignore[no
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def likeliest(share, seen):  # type: ignore[no-untyped-def]
+    """Choose the class of the highest share at each pixel.
+
+    Parameters
+    ----------
+    share : ndarray of float32 (classes, rows, columns)
+    seen : ndarray of bool (rows, columns)
+        Pixels that count.
+
+    Returns
+    -------
+    label : ndarray of uint8 (rows, columns)
+        From 1; 0 where not seen.
+    highest : ndarray of float32 (rows, columns)
+    """
+    classes, rows, columns = share.shape
+    label, highest = np.zeros((rows, columns), np.uint8), share[0].copy()
+    for r in range(rows):
+        for k in range(classes):
+            for c in range(columns):
+                if seen[r, c] and (k == 0 or share[k, r, c] > highest[r, c]):
+                    label[r, c], highest[r, c] = k + 1, share[k, r, c]
+    return label, highest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _runs(active):  # type: ignore[no-untyped-def]
     """Rows, firsts and ends of stretches of active tiles."""
     runs = [(0, 0, 0)]

@@ -138,17 +138,16 @@ def traced(label: Any) -> Iterator[tuple[int, int, FloatArray, bool]]:
             points = points[:-1] if closed else points
             if len(points) < 3:
                 continue
-            sides = _sides(label, points, closed)
-            other = np.where(sides[0] == k, sides[1], sides[0])
-            between = ((sides[0] == k) | (sides[1] == k)) & (other > k)
+            left, right = sides(label, points, closed)
+            other = np.where(left == k, right, left)
+            between = ((left == k) | (right == k)) & (other > k)
             for run, whole in _runs(np.where(between, other, 0), closed):
                 line = points[run]
                 if np.hypot(*np.diff(line, axis=0).T).sum() < SHORTEST:
                     continue
                 middle = run[len(run) // 2]
-                left, right = int(sides[0][middle]), int(sides[1][middle])
-                if left and right:
-                    yield left, right, line, whole
+                if left[middle] and right[middle]:
+                    yield int(left[middle]), int(right[middle]), line, whole
 
 
 def _stripes(label: Any) -> Iterator[slice]:
@@ -195,22 +194,35 @@ def _joined(pieces: list[FloatArray]) -> list[FloatArray]:
     return whole
 
 
-def _sides(label: Any, points: FloatArray, closed: bool) -> tuple[Labels, Labels]:
-    """Classes left and right of each point of a way."""
+def sides(label: Any, points: FloatArray, closed: bool) -> tuple[Labels, Labels]:
+    """Classes left and right of each point of a way.
+
+    Parameters
+    ----------
+    label : array of uint8 (rows, columns)
+        Of which what lies around the points is read.
+    points : ndarray (n, 2)
+        Row and column.
+    closed : bool
+
+    Returns
+    -------
+    left, right : ndarray of uint8 (n,)
+        0 beyond the map.
+    """
     across = normals(points, closed) * BESIDE
-    found = []
-    for sign in (-1, 1):
-        place = np.rint(points + sign * across).astype(int)
-        values = np.zeros(len(points), np.uint8)
-        for first in range(0, len(points), READ):
-            values[first : first + READ] = _looked_up(label, place[first : first + READ])
-        found.append(values)
+    place = np.rint(np.stack([points - across, points + across])).astype(int)
+    found = np.zeros((2, len(points)), np.uint8)
+    for first in range(0, len(points), READ):
+        part = slice(first, first + READ)
+        found[:, part] = _looked_up(label, place[:, part])
     return found[0], found[1]
 
 
 def _looked_up(label: Any, place: NDArray[np.int64]) -> Labels:
-    inside = ((place >= 0) & (place < label.shape)).all(axis=1)
-    result = np.zeros(len(place), np.uint8)
+    """Classes at some places (..., 2); 0 beyond the map."""
+    inside = ((place >= 0) & (place < label.shape)).all(axis=-1)
+    result = np.zeros(inside.shape, np.uint8)
     if inside.any():
         low, high = place[inside].min(axis=0), place[inside].max(axis=0) + 1
         part = label[low[0] : high[0], low[1] : high[1]]

@@ -70,6 +70,7 @@ class _Survey:
     bands: Bands | None
     factor: float
     workers: Workers
+    first: FloatArray
     rippled: Dark | None = None
     texture: BlockTexture | None = None
 
@@ -94,7 +95,9 @@ class _Survey:
             flat = self.flat(trends, self.bands)
             chosen = _sampled(flat, labels, DESCRIBED)
             gains = gain_of(self.blocks, trends, self.bands)
-            self.texture = BlockTexture.of(flat, gains, labels.shape, chosen, self.workers)
+            self.texture = BlockTexture.of(
+                flat, gains, labels.shape, chosen, self.workers, self.rippled
+            )
         described = self.texture.under(self.blocks, trends, bands, dark)
         return described, self.texture.shown
 
@@ -146,9 +149,10 @@ def find_classes(
     beds = None if rippled is None else blocks_shown(rippled, workers)
     if beds is not None and beds.any():
         blocks = [_over_waves(b, beds) for b in blocks]
-    bands = find_bands(_level_ones(blocks, beds), first_trends(blocks)) if count != 1 else None
+    first = first_trends(blocks)
+    bands = find_bands(_level_ones(blocks, beds), first) if count != 1 else None
     bands = None if bands is None or bands.span < SLIGHT else bands
-    survey = _Survey(looks, blocks, centre, bands, factor, workers, beds)
+    survey = _Survey(looks, blocks, centre, bands, factor, workers, first, beds)
     found = _found(survey, None if bands is not None else count, None)
     if bands is not None:
         if len(found.laws) > 1:
@@ -229,7 +233,7 @@ def _without_drift(survey: _Survey, found: _Found) -> _Found:
 def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     """Group blocks, free of bands of gain, if there are any."""
     blocks = survey.leveled(bands)
-    first = trends = first_trends(blocks)
+    first = trends = survey.first if bands is None else first_trends(blocks)
     dark = dark_blocks(blocks, trends)
     fewest, most = count or 1, None
     for _ in range(3):

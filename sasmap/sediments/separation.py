@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -112,18 +112,21 @@ def united(
     labels : ndarray of int (block rows, block columns)
     laws : list of Law
     """
+    beds = [] if rippled is None else _beds(flat, labels, range(len(laws)), rippled)
     while len(laws) > 1:
         each = range(len(laws))
-        bed = None if rippled is None else _beds(flat, labels, len(laws), rippled)
         softest, i, j = min(
-            (_sharpness(labels, level, (i, j), told, bed), i, j) for i in each for j in range(i)
+            (_sharpness(labels, level, (i, j), told, beds), i, j) for i in each for j in range(i)
         )
         if softest > SHARP:
             break
         labels = np.where(labels == i, j, labels)
         labels = np.where(labels > i, labels - 1, labels)
-        laws = [law for k, law in enumerate(laws) if k != i]
+        laws = [law for k, law in enumerate(laws) if k != i]  # j is less
         laws[j] = law_of(flat, labels == j, factor)
+        if rippled is not None:
+            del beds[i]
+            beds[j] = _beds(flat, labels, [j], rippled)[0]
     return labels, laws
 
 
@@ -135,13 +138,17 @@ class _Bed(NamedTuple):
 
 
 def _beds(
-    flat: Sequence[Flat], labels: NDArray[np.int64], count: int, rippled: NDArray[np.bool_]
+    flat: Sequence[Flat],
+    labels: NDArray[np.int64],
+    classes: Iterable[int],
+    rippled: NDArray[np.bool_],
 ) -> list[_Bed]:
-    powers = [float(np.mean(pixels_of(flat, labels == k) ** 2)) for k in range(count)]
-    return [
-        _Bed(float(0.5 * np.log(max(power, 1e-30))), float(rippled[labels == k].mean()))
-        for k, power in enumerate(powers)
-    ]
+    found = []
+    for k in classes:
+        power = float(np.mean(pixels_of(flat, labels == k) ** 2))
+        share = float(rippled[labels == k].mean())
+        found.append(_Bed(float(0.5 * np.log(max(power, 1e-30))), share))
+    return found
 
 
 def _sharpness(
@@ -149,7 +156,7 @@ def _sharpness(
     level: FloatArray,
     pair: tuple[int, int],
     told: float,
-    beds: list[_Bed] | None,
+    beds: Sequence[_Bed],
 ) -> float:
     """Difference of two classes' levels across their boundary, of that of the classes as such.
 
@@ -158,7 +165,7 @@ def _sharpness(
     """
     i, j = pair
     whole = float(np.median(level[labels == i]) - np.median(level[labels == j]))
-    relief = beds is not None and _parted_by_relief(beds[i], beds[j])
+    relief = bool(beds) and _parted_by_relief(beds[i], beds[j])
     if not relief and not told < abs(whole) < APART:
         return 1.0
     jumps = []

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from sasmap.numerics.order import median
 
 FloatArray = NDArray[np.float64]
 Real = TypeVar("Real", bound=np.floating[Any])
@@ -158,23 +161,37 @@ def _slope(block: Blocks) -> FloatArray:
             change.append((first[0] - second[0])[both][every])
             step.append((first[3] - second[3])[both][every])
             bend.append((first[3] ** 2 - second[3] ** 2)[both][every])
-    y = np.concatenate(change)
-    design = np.column_stack([np.concatenate(step), np.concatenate(bend)])
+    y, ahead, bent = (np.concatenate(v) for v in (change, step, bend))
     if y.size < 20:
         return np.zeros(2)
     # from no trend at all: least squares would begin at what edges and objects make
     found: FloatArray = np.zeros(2)
     for _ in range(ROUNDS):
-        before, rest = found, y - design @ found
-        scale = 1.5 * np.median(np.abs(rest)) + 1e-9
-        heavy = design / (1 + (rest / scale) ** 2)[:, None]
+        before = found
+        scale = 1.5 * median(np.abs(y - found[0] * ahead - found[1] * bent)) + 1e-9
+        matrix, right = _weighed(y, ahead, bent, found, scale)
         # what nothing tells stays at 0
-        found = np.asarray(
-            np.linalg.solve(heavy.T @ design + np.diag([1e-4, 1e-3]), heavy.T @ y), np.float64
-        )
+        matrix += np.diag([1e-4, 1e-3])
+        found = np.asarray(np.linalg.solve(matrix, right), np.float64)
         if np.abs(found - before).max() < SETTLED:
             break
     return np.asarray(found)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weighed(y, step, bend, trend, scale):  # type: ignore[no-untyped-def]
+    """Add up the normal equations of slope and bend, each difference with its Cauchy weight."""
+    matrix, right = np.zeros((2, 2)), np.zeros(2)
+    for i in range(y.size):
+        rest = (y[i] - trend[0] * step[i] - trend[1] * bend[i]) / scale
+        weight = 1 / (1 + rest * rest)
+        matrix[0, 0] += weight * step[i] * step[i]
+        matrix[0, 1] += weight * step[i] * bend[i]
+        matrix[1, 1] += weight * bend[i] * bend[i]
+        right[0] += weight * step[i] * y[i]
+        right[1] += weight * bend[i] * y[i]
+    matrix[1, 0] = matrix[0, 1]
+    return matrix, right
 
 
 def trend_of(trend: FloatArray, place: NDArray[Real]) -> NDArray[Real]:

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cache
-from math import hypot
+from math import ceil, hypot
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import fft2, ifft2, irfft2, next_fast_len, rfft2
+from scipy.fft import fft, ifft, irfft, next_fast_len, rfft, rfft2
 from scipy.ndimage import gaussian_filter
 
 FloatArray = NDArray[np.float64]
@@ -45,6 +45,9 @@ KNOWN, AT_ONCE = 0.25, 64
 # Widths (standard deviation, in wavelengths across and along the crests) over which the phase, the
 # profile and what it explains are averaged.
 PHASE, PROFILE, NEAR = (0.6, 0.6), (0.5, 1.5), (0.15, 1.0)
+# The widest of all; standard deviations by which an image is padded, at most half of the largest
+# window; and those beyond which a Gaussian's spectrum (1e-5) is as good as 0.
+WIDEST, PADDED, REACHES = (1.0, 1.5), 4.0, 4.8
 HARMONICS = 6
 # Share of the scatter of log intensity that a profile leaves, at most, the least amplitude of its
 # fundamental, and by how much it may be stronger than its mean.
@@ -114,16 +117,28 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
 
 
 def coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
-    """Log of the mean intensity of small squares, and the share of them that is known."""
-    rows, columns = (n // COARSE * COARSE for n in amplitude.shape)
-    shape = rows // COARSE, COARSE, columns // COARSE, COARSE
-    parts = amplitude[:rows, :columns].reshape(shape)
-    there = np.isfinite(parts)
-    count = there.sum(axis=(1, 3))
-    power = np.square(np.where(there, parts, 0))
-    mean = power.sum(axis=(1, 3), dtype=float) / np.maximum(count, 1)
-    known = (count > 0) & (mean > 0)
+    """Log of the mean intensity of small squares, and whether any of it is known (1, else 0)."""
+    mean = _intensities(amplitude, COARSE)
+    known = mean > 0
     return np.log(np.where(known, mean, 1.0)), known.astype(float)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _intensities(amplitude, side):  # type: ignore[no-untyped-def]
+    """Mean square of what is known of squares; 0 where nothing is."""
+    rows, columns = amplitude.shape[0] // side, amplitude.shape[1] // side
+    result = np.zeros((rows, columns))
+    for r in range(rows):
+        for c in range(columns):
+            total, count = 0.0, 0
+            for i in range(r * side, (r + 1) * side):
+                for j in range(c * side, (c + 1) * side):
+                    value = float(amplitude[i, j])
+                    if np.isfinite(value):
+                        total += value * value
+                        count += 1
+            result[r, c] = total / count if count else 0.0
+    return result
 
 
 def _windows(shape: tuple[int, ...], size: int) -> list[tuple[slice, slice]]:
@@ -165,7 +180,7 @@ def _waves_about(
     mine = [part for part in every if _overlap(part, asked)]
     found = [(p, w) for p, w in zip(mine, _waves(level, known, mine, size), strict=True) if w]
     doubtful = [p for p, wave in found if wave.rise < RISES[1]]
-    beside = [p for p in every if p not in mine and any(_overlap(p, d) for d in doubtful)]
+    beside = [p for p in every if not _overlap(p, asked) and any(_overlap(p, d) for d in doubtful)]
     others = [(p, w) for p, w in zip(beside, _waves(level, known, beside, size), strict=True) if w]
     sure = [(p, wave) for p, wave in found + others if wave.rise >= RISES[1]]
     for part, wave in found:
@@ -275,6 +290,8 @@ def _rings(window: int) -> list[NDArray[np.int64]]:
 class _Along:
     """Averages that reach farther along crests than across them, of what is known.
 
+    Spectra are cut where a kernel is as good as 0, in whole columns.
+
     Parameters
     ----------
     known : ndarray (rows, columns)
@@ -282,67 +299,124 @@ class _Along:
         Cycles a pixel, down and across.
     """
 
-    def __init__(self, known: NDArray[np.floating], wave: tuple[float, float]) -> None:
-        self._known, self._shape = (
-            known,
-            tuple(next_fast_len(n + WINDOWS[-1] // 2) for n in known.shape),
+    def __init__(self, known: Single, wave: tuple[float, float]) -> None:
+        self._known = known
+        self._whole = bool(known.all())
+        self._length = 1 / hypot(*wave)
+        self._way = (wave[0] * self._length, wave[1] * self._length)
+        self._shape = tuple(
+            next_fast_len(n + min(ceil(PADDED * self._spread(*WIDEST, k)), WINDOWS[-1] // 2))
+            for k, n in enumerate(known.shape)
         )
-        r, c = (np.fft.fftfreq(n).astype(np.float32) for n in self._shape)
-        self._length = 1 / np.hypot(*wave)
-        self._ahead = np.square((r[:, None] * wave[0] + c * wave[1]) * self._length)
-        self._beside = np.square((r[:, None] * wave[1] - c * wave[0]) * self._length)
+        self._spectrum: NDArray[np.complexfloating] = rfft(known, self._shape[1])
         self._kernels: dict[tuple[float, float], tuple[Single, Single]] = {}
 
+    def _spread(self, across: float, along: float, axis: int) -> float:
+        """Return the standard deviation (pixels) along an axis of a Gaussian in wavelengths."""
+        way = self._way[axis], self._way[1 - axis]
+        return self._length * hypot(across * way[0], along * way[1])
+
     def __call__(self, values: NDArray[Any], across: float, along: float) -> NDArray[Any]:
-        """Average over Gaussians of so many wavelengths (standard deviation)."""
+        """Average images (..., rows, columns) over Gaussians of so many wavelengths (sd)."""
         if (across, along) not in self._kernels:
-            size = (2 * np.pi * self._length) ** 2
-            kernel = np.exp(-0.5 * size * (across**2 * self._ahead + along**2 * self._beside))
-            share = np.maximum(self._smooth(self._known, kernel), 1e-3)
-            self._kernels[across, along] = kernel, share
-        kernel, share = self._kernels[across, along]
-        return np.asarray(self._smooth(values * self._known, kernel) / share)
+            kernel = self._kernel(across, along)
+            count = kernel.shape[1] // 2 + 1
+            share = self._convolved(self._spectrum[:, :count], kernel[:, :count])
+            share = irfft(share, self._shape[1])[:, : self._known.shape[1]]
+            self._kernels[across, along] = kernel, 1 / np.maximum(share, np.float32(1e-3))
+        kernel, over = self._kernels[across, along]
+        smooth = self._smooth(values if self._whole else values * self._known, kernel)
+        smooth *= over
+        return smooth
+
+    def _kernel(self, across: float, along: float) -> Single:
+        """Spectrum of a Gaussian: columns from 0 on, then those below 0, as far as it reaches."""
+        rows, columns = self._shape
+        # the spectrum's spread is widest where the Gaussian's is least
+        widest = hypot(self._way[1] / across, self._way[0] / along) / (2 * np.pi * self._length)
+        most = min(int(REACHES * widest * columns) + 1, (columns - 1) // 2)
+        r = np.fft.fftfreq(rows).astype(np.float32)[:, None]
+        cycles = np.concatenate([np.arange(most + 1), np.arange(-most, 0)])
+        c = (cycles / columns).astype(np.float32)
+        ahead = np.square(r * np.float32(self._way[0]) + c * np.float32(self._way[1]))
+        beside = np.square(r * np.float32(self._way[1]) - c * np.float32(self._way[0]))
+        size = 0.5 * (2 * np.pi * self._length) ** 2
+        ahead *= np.float32(-size * across**2)
+        beside *= np.float32(-size * along**2)
+        return np.asarray(np.exp(ahead + beside))
+
+    def _convolved(self, half: NDArray[Any], kernel: Single) -> NDArray[Any]:
+        """Convolve columns of a spectrum along the other axis."""
+        wide = fft(half, self._shape[0], axis=-2)
+        wide *= kernel
+        return np.asarray(ifft(wide, axis=-2, overwrite_x=True)[..., : self._known.shape[0], :])
 
     def _smooth(self, values: NDArray[Any], kernel: Single) -> NDArray[Any]:
         """Convolve; a real image by half of its spectrum, which is all there is."""
-        rows, columns = values.shape
-        if np.iscomplexobj(values):
-            return np.asarray(ifft2(fft2(values, self._shape) * kernel)[:rows, :columns])
-        half = rfft2(values, self._shape) * kernel[:, : self._shape[1] // 2 + 1]
-        return np.asarray(irfft2(half, self._shape)[:rows, :columns])
+        columns, width = values.shape[-1], self._shape[1]
+        count = kernel.shape[1] // 2 + 1
+        if not np.iscomplexobj(values):
+            half = rfft(values, width)[..., :count]
+            return np.asarray(irfft(self._convolved(half, kernel[:, :count]), width)[..., :columns])
+        every = fft(values, width)
+        kept = np.concatenate([every[..., :count], every[..., width - count + 1 :]], axis=-1)
+        every = np.zeros((*values.shape[:-1], width), values.dtype)
+        kept = self._convolved(kept, kernel)
+        every[..., :count], every[..., width - count + 1 :] = kept[..., :count], kept[..., count:]
+        return np.asarray(ifft(every, overwrite_x=True)[..., :columns])
 
 
 def _profile(
-    level: NDArray[np.floating], known: NDArray[np.floating], wave: tuple[float, float]
+    level: NDArray[np.floating],
+    known: NDArray[np.floating],
+    wave: tuple[float, float],
+    columns: int = 1,
 ) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
-    """Where ripples are, and their log intensity over that of flat floor."""
-    length = 1 / np.hypot(*wave)
-    level, known = level.astype(np.float32), known.astype(np.float32)
+    """Where ripples are, and their log intensity over that of flat floor.
+
+    `columns` is the axis of the map's columns: an image may be turned.
+    """
+    if abs(wave[1]) > abs(wave[0]):  # averages are cheaper where crests run along the rows
+        there, total = _profile(level.T, known.T, (wave[1], wave[0]), 1 - columns)
+        return there.T, total.T
+    length = 1 / hypot(*wave)
+    level, known = np.ascontiguousarray(level, np.float32), np.ascontiguousarray(known, np.float32)
     average = _Along(known, wave)
     flat = (level - average(level, 1.0, 1.0)) * known
-    rows, columns = (np.arange(n) for n in level.shape)
-    carrier = 2 * np.pi * (wave[0] * rows[:, None] + wave[1] * columns).astype(np.float32)
-    first = average(flat * np.exp(-1j * carrier), *PHASE)
-    phase = carrier + np.angle(first)
-    total: NDArray[np.floating] = np.zeros(level.shape, np.float32)
-    wave_once = np.exp(1j * phase)
-    turn = np.ones_like(wave_once)
-    for _ in range(min(HARMONICS, max(int(length / 2.5), 1))):
-        turn *= wave_once
-        total += 2 * (average(flat * np.conj(turn), *PROFILE) * turn).real
+    down, across = (
+        np.exp(2j * np.pi * k * np.arange(n)) for k, n in zip(wave, level.shape, strict=True)
+    )
+    carrier = np.outer(down, across).astype(np.complex64)
+    first = average(flat * np.conj(carrier), *PHASE)
+    strength = np.abs(first)
+    wave_once = carrier * first / np.maximum(strength, np.float32(1e-30))
+    total = _folded(flat, wave_once, min(HARMONICS, max(int(length / 2.5), 1)), average)
     total = np.maximum(total, np.float32(np.log(FLOOR)))
     # ripples begin and end within a wavelength: how strong the profile is around each place
-    power = np.maximum(average(total**2, *NEAR), 1e-9)
-    total *= np.clip(average(flat * total, *NEAR) / power, 0.0, STRONGEST)
-    before, after = (average(v**2, *NEAR) for v in (flat, flat - total))
-    there = (after < EXPLAINED * before) & (2 * np.abs(first) > LEAST)
+    power, both, before = average(np.stack([total**2, flat * total, flat**2]), *NEAR)
+    total *= np.clip(both / np.maximum(power, 1e-9), 0.0, STRONGEST)
+    after = average((flat - total) ** 2, *NEAR)
+    there = (after < EXPLAINED * before) & (2 * strength > LEAST)
     there = _rounded(there, OPENED * length, CLOSED * length) & (known > 0)
-    total += _left_over(flat - total, known, average)
+    total += _left_over(flat - total, known, average, columns)
     # amplitude is linear in slope to first order, and slope has no mean: the mean amplitude over a
     # wavelength is that of flat floor (the mean intensity is up to 4 dB more)
     mean = average(np.exp(0.5 * total), 1.0, 1.0)
     total -= 2 * np.log(np.maximum(mean, FLOOR))
     return there, total * there
+
+
+def _folded(
+    flat: Single, wave: NDArray[np.complexfloating], count: int, average: _Along
+) -> NDArray[np.floating]:
+    """Mean profile by so many harmonics of a wave, whose phase is that of complex numbers."""
+    total = np.zeros(flat.shape, np.float32)
+    turn = np.ones_like(wave)
+    for _ in range(count):
+        turn *= wave
+        mean = average(flat * np.conj(turn), *PROFILE)
+        total += 2 * (mean.real * turn.real - mean.imag * turn.imag)
+    return total
 
 
 def _rounded(mask: NDArray[np.bool_], opened: float, closed: float) -> NDArray[np.bool_]:
@@ -384,7 +458,9 @@ def _discs(mask, radius):  # type: ignore[no-untyped-def]
     return grown
 
 
-def _left_over(rest: NDArray[np.floating], known: NDArray[np.floating], average: _Along) -> Single:
+def _left_over(
+    rest: NDArray[np.floating], known: NDArray[np.floating], average: _Along, columns: int
+) -> Single:
     """Find what of a profile's rest is more than speckle.
 
     Where crests cross, fork or turn sharply, no one profile holds: what is then left at the scale
@@ -392,19 +468,31 @@ def _left_over(rest: NDArray[np.floating], known: NDArray[np.floating], average:
     """
     smooth = gaussian_filter(rest, REST, mode="nearest")
     # speckle is what neighbours do not share
-    steps = np.diff(rest, axis=1)[(known[:, 1:] * known[:, :-1]) > 0]
+    there = np.moveaxis(known, columns, 1) > 0
+    steps = np.diff(np.moveaxis(rest, columns, 1), axis=1)[there[:, 1:] & there[:, :-1]]
     noise = 0.5 * np.square(np.median(np.abs(steps)) / 0.6745) if steps.size else 0.0
     noise = noise / (4 * np.pi * REST**2)
     power = np.maximum(average(smooth**2, *JUDGED), 1e-9)
     return np.asarray(smooth * (1 - np.sqrt(np.minimum(noise / power, 1))), np.float32)
 
 
-def _fine(coarse: Single, inner: Part) -> FloatArray:
+def _fine(coarse: Single, inner: Part) -> Single:
     """Lay averaged pixels on the pixels that they are of, linear between; part of an image."""
     rows, columns = (_between(n, s) for n, s in zip(coarse.shape, inner, strict=True))
-    near = coarse[rows[0]] + rows[2][:, None] * (coarse[rows[1]] - coarse[rows[0]])
-    left, right = near[:, columns[0]], near[:, columns[1]]
-    return np.asarray(left + columns[2] * (right - left))
+    return np.asarray(_bilinear(coarse, rows, columns))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bilinear(values, rows, columns):  # type: ignore[no-untyped-def]
+    """Interpolate at rows and columns: those before, those after, and the share of the latter."""
+    result = np.empty((rows[0].size, columns[0].size), values.dtype)
+    for i in range(rows[0].size):
+        first, second, share = values[rows[0][i]], values[rows[1][i]], rows[2][i]
+        near = first + share * (second - first)
+        for j in range(columns[0].size):
+            left, right = near[columns[0][j]], near[columns[1][j]]
+            result[i, j] = left + columns[2][j] * (right - left)
+    return result
 
 
 def _between(n: int, part: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Single]:

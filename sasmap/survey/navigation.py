@@ -73,7 +73,7 @@ class Track:
     y: FloatArray
     altitude: FloatArray
 
-    def locate(self, x: FloatArray, y: FloatArray) -> Geometry:
+    def locate(self, x: FloatArray, y: FloatArray, *, step: int = 1) -> Geometry:
         """Find the track's nearest point (broadside look) for map points.
 
         Parameters
@@ -81,6 +81,12 @@ class Track:
         x, y : ndarray
             Map coordinates, m, of one shape; fast where neighbours in memory are neighbours on the
             map.
+        step : int
+            Rows and columns from one that is located to the next. Between four points that are seen
+            from one side, distance and altitude are linear and the azimuth is the nearest one's.
+            With 0.4 m between points and headings that scatter by 0.05 radian from ping to ping the
+            distance is off by 10 mm at most, by up to half a step where two parts of a track that
+            turns are equally near.
 
         Returns
         -------
@@ -89,12 +95,24 @@ class Track:
             The ends extend two ping spacings, at most 5 m, beyond the first and last ping.
         """
         shape = np.shape(x)
+        if step > 1 and min(shape) > 1:
+            return self._between(x, y, step)
         points = np.ascontiguousarray(x, float).ravel(), np.ascontiguousarray(y, float).ravel()
         out = np.empty((3, points[0].size))
         starboard = np.empty(points[0].size, np.bool_)
         _locate(*points, *self._extended, *self._course, self._tree, out, starboard)
         distance, altitude, azimuth = (row.reshape(shape) for row in out)
         return Geometry(distance, altitude, azimuth, starboard.reshape(shape))
+
+    def _between(self, x: FloatArray, y: FloatArray, step: int) -> Geometry:
+        """Locate some rows and columns, and what these do not tell."""
+        rows, columns = (np.append(np.arange(0, n - 1, step), n - 1) for n in x.shape)
+        some = np.ix_(rows, columns)
+        out, starboard = np.empty((3, *x.shape)), np.empty(x.shape, np.bool_)
+        rest = _interpolate(rows, columns, self.locate(x[some], y[some]), out, starboard)
+        for target, values in zip((*out, starboard), self.locate(x[rest], y[rest]), strict=True):
+            target[rest] = values
+        return Geometry(out[0], out[1], out[2], starboard)
 
     @cached_property
     def _tree(self) -> tuple[NDArray[np.int64], FloatArray]:
@@ -210,6 +228,36 @@ def _locate(px, py, tx, ty, altitude, cx, cy, tree, out, starboard):  # type: ig
                     root = np.sqrt(best)
         last = at
         _see(i, x, y, tx, ty, altitude, cx, cy, root, at, along, out, starboard)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(rows, columns, seen, out, starboard):  # type: ignore[no-untyped-def]
+    """Fill in the geometry between points seen from one side; returns where it is not told."""
+    rest = np.zeros(starboard.shape, np.bool_)
+    for i in range(rows.size - 1):
+        end = rows[i + 1] + int(i == rows.size - 2)
+        for j in range(columns.size - 1):
+            stop = columns[j + 1] + int(j == columns.size - 2)
+            sides = seen.starboard[i : i + 2, j : j + 2].sum()
+            told = np.isfinite(seen.distance[i : i + 2, j : j + 2].sum()) and sides % 4 == 0
+            rest[rows[i] : end, columns[j] : stop] = not told
+            starboard[rows[i] : end, columns[j] : stop] = sides > 0
+            for r in range(rows[i], end if told else rows[i]):
+                down = (r - rows[i]) / (rows[i + 1] - rows[i])
+                for c in range(columns[j], stop):
+                    across = (c - columns[j]) / (columns[j + 1] - columns[j])
+                    out[0, r, c] = _amid(seen.distance, i, j, down, across)
+                    out[1, r, c] = _amid(seen.altitude, i, j, down, across)
+                    out[2, r, c] = seen.look_azimuth[i + int(down > 0.5), j + int(across > 0.5)]
+    return rest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _amid(values, i, j, down, across):  # type: ignore[no-untyped-def]
+    """Interpolate between four neighbours."""
+    above = values[i, j] + across * (values[i, j + 1] - values[i, j])
+    below = values[i + 1, j] + across * (values[i + 1, j + 1] - values[i + 1, j])
+    return above + down * (below - above)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

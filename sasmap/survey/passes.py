@@ -89,26 +89,30 @@ class SonarPass:
         """Largest distance between a tile pixel and the sea floor that it shows, m."""
         return float(self.track.altitude.max()) if self.slant else 0.0
 
-    def locate(self, x: FloatArray, y: FloatArray) -> Geometry:
+    def locate(self, x: FloatArray, y: FloatArray, step: int = 1) -> Geometry:
         """Find the track's nearest point for map points, on the sides that the pass shows.
 
         Parameters
         ----------
         x, y : ndarray
             Map coordinates, m, of one shape.
+        step : int
+            See :meth:`Track.locate`.
 
         Returns
         -------
         Geometry
             As of :meth:`Track.locate`; the distance is NaN on the other side as well.
         """
-        seen = self.track.locate(x, y)
+        seen = self.track.locate(x, y, step=step)
         if len(self.sides) == 1:
             seen.distance[seen.starboard != (self.sides[0] == "starboard")] = np.nan
         return seen
 
 
-def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> dict[str, Any]:
+def view(
+    sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window, step: int = 1
+) -> dict[str, Any]:
     """Compute positions and viewing geometry of a window's pixels.
 
     Parameters
@@ -118,6 +122,9 @@ def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> d
         CRS of the result, WKT.
     lattice : Lattice
     window : Window
+    step : int
+        Of ground-range tiles, pixels from one that is located to the next, see
+        :meth:`Track.locate`.
 
     Returns
     -------
@@ -129,7 +136,7 @@ def view(sonar_pass: SonarPass, crs: str, lattice: Lattice, window: Window) -> d
     """
     x, y = transform_points(lattice.crs, crs, *lattice.centres(window))
     x, y = np.broadcast_arrays(x, y)
-    seen = sonar_pass.locate(x, y)
+    seen = sonar_pass.locate(x, y, 1 if sonar_pass.slant else step)
     ground_range = seen.distance
     result = {"x": x, "y": y, "starboard": seen.starboard}
     if sonar_pass.slant:
@@ -274,6 +281,7 @@ def read_clip(
     cell: Cell,
     side: Side,
     tiles: tuple[Tile, ...] | None = None,
+    step: int = 1,
 ) -> xr.DataArray | None:
     """Read a cell's clip from one side of a pass.
 
@@ -288,6 +296,8 @@ def read_clip(
     side : {"port", "starboard"}
     tiles : tuple of Tile, optional
         Result of :func:`tiles_of_cells` for the cell; found here if not given.
+    step : int
+        Of :func:`view`.
 
     Returns
     -------
@@ -320,7 +330,7 @@ def read_clip(
     amplitude = read_mosaic(tiles, lattice, window)
     if np.isnan(amplitude).all():
         return None
-    seen = view(sonar_pass, grid.crs, lattice, window)
+    seen = view(sonar_pass, grid.crs, lattice, window, step)
     inside = grid.holds(cell, seen.get("ground_x", seen["x"]), seen.get("ground_y", seen["y"]))
     valid = inside & ~np.isnan(seen["ground_range"]) & ~np.isnan(amplitude)
     valid &= seen.pop("starboard") == (side == "starboard")

@@ -16,13 +16,13 @@ STRAIGHT = 0.05
 def on_cell(
     clip: Clip, model: NDArray[np.float64], grid: CellGrid, cell: Cell, window: int
 ) -> NDArray[np.float32]:
-    """Resample a clip's modelled amplitude to the pixels of its cell by nearest neighbour.
+    """Resample values on a clip's lattice to the pixels of its cell by nearest neighbour.
 
     Parameters
     ----------
     clip : Clip
-    model : ndarray (rows, columns)
-        On the clip's lattice.
+    model : ndarray (..., rows, columns)
+        Modelled amplitude, or whatever else, on the clip's lattice.
     grid : CellGrid
     cell : Cell
     window : int
@@ -30,7 +30,7 @@ def on_cell(
 
     Returns
     -------
-    ndarray (window, window)
+    ndarray (..., window, window)
         NaN where the clip has no model.
     """
     step = grid.size / window
@@ -38,18 +38,20 @@ def on_cell(
     x = left + step * (np.arange(window) + 0.5)
     y = top - step * (np.arange(window) + 0.5)
     steps, first = lattice(clip)
-    result = np.full((window, window), np.nan, np.float32)
+    result = np.full((*model.shape[:-2], window, window), np.nan, np.float32)
+    height, width = model.shape[-2:]
     north_up = np.diag([step, -step])
-    if np.abs(steps - north_up).max() * max(model.shape) < STRAIGHT * step:  # the usual case
+    if np.abs(steps - north_up).max() * max(height, width) < STRAIGHT * step:  # the usual case
         column, row = (
             np.rint(v).astype(int) for v in ((x - first[0]) / step, (first[1] - y) / step)
         )
-        across = (column >= 0) & (column < model.shape[1])
-        down = (row >= 0) & (row < model.shape[0])
-        result[np.ix_(down, across)] = model[np.ix_(row[down], column[across])]
+        across = (column >= 0) & (column < width)
+        down = (row >= 0) & (row < height)
+        part = [slice(int(v.argmax()), int(v.argmax() + v.sum())) for v in (down, across)]
+        result[..., part[0], part[1]] = model[..., row[down][:, None], column[across]]
         return result
     offset = np.stack(np.broadcast_arrays(x[None, :] - first[0], y[:, None] - first[1]))
     column, row = np.rint(np.einsum("ij,jkl->ikl", np.linalg.inv(steps), offset)).astype(int)
-    inside = (row >= 0) & (row < model.shape[0]) & (column >= 0) & (column < model.shape[1])
-    result[inside] = model[row[inside], column[inside]]
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    result[..., inside] = model[..., row[inside], column[inside]]
     return result

@@ -87,6 +87,23 @@ def test_geometry_does_not_depend_on_how_points_are_grouped():
         np.testing.assert_array_equal(one[7:31, 11:60], other)
 
 
+@pytest.mark.parametrize("step", [3, 8])
+def test_places_between_some_that_are_located_are_nearly_as_exact(step):
+    y = np.arange(0, 40, 0.5)
+    headings = np.random.default_rng(step).normal(0, 0.05, y.size)
+    track = Track(np.cumsum(0.5 * headings), y, np.linspace(8.0, 12.0, y.size))
+    # on both sides, and beyond the first ping
+    x, y = np.meshgrid(np.arange(-12, 30, 0.05), np.arange(-3, 9, 0.05))
+    exact, seen = track.locate(x, y), track.locate(x, y, step=step)
+    np.testing.assert_array_equal(np.isnan(seen.distance), np.isnan(exact.distance))
+    np.testing.assert_array_equal(seen.starboard, exact.starboard)
+    known = np.isfinite(exact.distance)
+    assert known.mean() > 0.5 > 1 - known.mean() > 0.1
+    np.testing.assert_allclose(seen.distance[known], exact.distance[known], atol=0.015)
+    # where a wandering track's nearest ping jumps, the altitude does
+    assert np.abs(seen.altitude - exact.altitude)[known].mean() < 0.02
+
+
 def test_geographic_positions_land_on_the_grid(tmp_path):
     back = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True)
     north = np.arange(3300000.0, 3300050.0, 10)
