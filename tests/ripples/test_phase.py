@@ -173,7 +173,9 @@ def test_the_modelled_image_follows_crests_that_wander():
     assert seen.mean() > 0.6
     # speckle has a mean amplitude of 0.886 of the root of its intensity, and varies by 0.52 of it
     assert np.corrcoef(model[seen], clip.amplitude[seen])[0, 1] > 0.4
-    assert clip.amplitude[seen].mean() == pytest.approx(model[seen].mean(), rel=0.04)
+    # a bin's pixels differ, where crests wander: their mean amplitude is less than that of their mean
+    ratio = clip.amplitude[seen].mean() / model[seen].mean()
+    assert 0.94 < ratio < 1.01
 
 
 def test_straight_crests_need_no_field():
