@@ -173,7 +173,7 @@ def test_the_modelled_image_follows_crests_that_wander():
     assert seen.mean() > 0.6
     # speckle has a mean amplitude of 0.886 of the root of its intensity, and varies by 0.52 of it
     assert np.corrcoef(model[seen], clip.amplitude[seen])[0, 1] > 0.4
-    # a bin's pixels differ, where crests wander: their mean amplitude is less than that of their mean
+    # a bin's pixels differ, where crests wander: the mean amplitude is less for it
     ratio = clip.amplitude[seen].mean() / model[seen].mean()
     assert 0.94 < ratio < 1.01
 
