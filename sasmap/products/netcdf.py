@@ -354,7 +354,8 @@ def _reasons() -> dict[str, Any]:
         "flag_values": np.arange(len(names), dtype=np.int8),
         "flag_meanings": " ".join(names),
         "long_name": "why ripples cannot be identified: too few waves per window, too few pixels "
-        "per wavelength, sonar looks along the crests, bands evenly spaced in grazing angle",
+        "per wavelength, sonar looks along the crests, bands evenly spaced in grazing angle, no "
+        "height within the settings' bounds",
     }
 
 

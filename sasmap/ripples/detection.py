@@ -102,6 +102,7 @@ class Unclear(StrEnum):
         "bands along the track, evenly spaced in grazing angle: gain over range, or ripples that "
         "lengthen with it: add a pass on another heading"
     )
+    HEIGHT = "no height within the settings' bounds makes ripples of this wavelength: widen them"
 
 
 class Wave(NamedTuple):

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
-from sasmap.ripples.detection import MIN_ALONG, Wave, find_waves
+from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
 from sasmap.ripples.extent import ripple_extent
-from sasmap.ripples.fit import Fit, Task, fit_wave, pulses_at
+from sasmap.ripples.fit import Fit, NoPlaceError, Task, fit_wave, pulses_at
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
 from sasmap.ripples.optimise import COORDINATES, HEIGHT, free_coordinates, sampled_coordinates
@@ -153,9 +155,16 @@ def _default(
             reason=found.reason,
         )
     task = Task(image, settings, prior, clip.altitude_sd)
-    wave, fit = max(
-        ((wave, fit_wave(task, wave.vector)) for wave in chosen), key=lambda f: f[1].explained
-    )
+    fits = list(_fits(task, chosen))
+    if not fits:
+        return Posterior(
+            Quality.NOT_IDENTIFIABLE,
+            prior,
+            left_out=LeftOut.SAMPLING,
+            probability=found.probability,
+            reason=Unclear.HEIGHT,
+        )
+    wave, fit = max(fits, key=lambda f: f[1].explained)
     other = second_system(found.waves, fit.phase.wave)
     points, acceptance, done = _sampled(fit, settings, rng)
     extent = ripple_extent(image, fit.phase.wave)
@@ -187,10 +196,22 @@ def _default(
     )
 
 
+def _fits(task: Task, waves: list[Wave]) -> Iterator[tuple[Wave, Fit]]:
+    """Waves that the prior has a place for, and their fits."""
+    for wave in waves:
+        try:
+            yield wave, fit_wave(task, wave.vector)
+        except NoPlaceError:
+            continue
+
+
 def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> xr.Dataset:
     """Estimate a wave of a clip whose first system is estimated already."""
-    fit = fit_wave(task, wave.vector)
-    if not np.isfinite(fit.peaks[0].level):  # the prior has no place for it
+    try:
+        fit = fit_wave(task, wave.vector)
+    except NoPlaceError:
+        return xr.Dataset()
+    if fit.geometry.along < MIN_ALONG * np.hypot(fit.geometry.along, fit.geometry.across):
         return xr.Dataset()
     points, _, done = _sampled(fit, task.settings, rng)
     if not done:  # too weak for the clip to tell

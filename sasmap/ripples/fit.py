@@ -73,6 +73,9 @@ LEAST_LIGHT = 1e-4
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
 # Error of the pulse's second harmonic where crests bend.
 FIELD_HARMONIC = 0.03
+# Least wave number along the look over that across: height is not identifiable below seven times it
+# (detection.MIN_ALONG), so that a choice.
+LEAST_ALONG = 0.01
 # Steepest slope of a peaked profile over a sine's of the same height.
 PEAKED_SLOPE = 1.5
 # Expected intensity over the mean below which speckle is not judged.
@@ -113,6 +116,10 @@ class Fit(NamedTuple):
         return self.peaks[0].z
 
 
+class NoPlaceError(ValueError):
+    """No height within the settings' bounds makes ripples of a wave."""
+
+
 class Task(NamedTuple):
     """What does not change while a clip is fitted."""
 
@@ -134,6 +141,11 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     Returns
     -------
     Fit
+
+    Raises
+    ------
+    NoPlaceError
+        Where the prior has no place for it.
     """
     image = task.image
     # of the two vectors of a wave, the one that the sonar looks along
@@ -159,13 +171,18 @@ def fitted(
     """Sum a clip over phase and range and climb to peaks of its posterior."""
     data = histogram(task.image, trend, phase)
     geometry = clip_geometry(task, phase, data)
-    return Fit(phase, trend, data, geometry, climb(data, geometry))
+    peaks = climb(data, geometry)
+    if not peaks:
+        raise NoPlaceError(f"no height within the bounds at {phase.mean_wave} cycles/m")
+    return Fit(phase, trend, data, geometry, peaks)
 
 
 def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     """Gather what the likelihood needs besides the histogram."""
     image, settings, prior = task.image, task.settings, task.prior
     along, across = (float(v) for v in phase.mean_wave)
+    # refined, crests that the sonar looks along may turn past the look
+    along = max(along, LEAST_ALONG * abs(across))
     lattice = POINT_SPREAD * image.pixel_size * along
     pixels = data.pixel_count.sum(axis=1)
     middle = [float(np.average(v, weights=pixels)) for v in (data.ground_range, data.altitude)]

@@ -372,13 +372,13 @@ def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
     bins = pulse.size
     for i in range(place.size):
         x = (place[i] - np.floor(place[i])) * bins + (bins - 0.5)
-        low = np.int32(x)
-        beyond[i] = (x - low) * power[i]
-        low -= bins if low >= bins else 0
-        place[i] = min(max(low, 0), bins - 1)  # a number even of what is none
+        lower = np.int32(x)
+        beyond[i] = (x - lower) * power[i]
+        lower -= bins if lower >= bins else 0
+        place[i] = min(max(lower, 0), bins - 1)  # a number even of what is none
     last, here, above = 0, 0.0, 0.0
     for i in range(place.size):
-        low = np.int32(place[i])
+        low = int(place[i])
         if low != last:  # neighbours mostly share their bins
             pulse[last] += here
             pulse[last + 1 if last + 1 < bins else 0] += above
@@ -449,7 +449,7 @@ def fill_echoes(  # type: ignore[no-untyped-def]
         for i in range(n):
             lit[i] = 1.0 if power[i] > 0.0 else 0.0
     for i in range(n):
-        low = np.uint32(min(max(np.int32(power[i]), 0), NODES - 1))
+        low = np.uint32(min(max(np.int32(power[i]), 0), NODES - 1))  # type: ignore[arg-type]
         power[i] = areas[i] * lit[i] * (law[0, low] + (power[i] - low) * law[1, low])
 
 
@@ -561,7 +561,7 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
         fill_facets(ripple, wave, geometry, facets)
-        crest = np.argmax(facets[0]) if geometry.shadow else -1
+        crest = int(np.argmax(facets[0])) if geometry.shadow else -1
     before, stride = 0, 1 if geometry.shadow else RENDERED
     for b in range(blocks):
         if b % stride != 0 and b < blocks - 1:

@@ -5,9 +5,11 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.detection import Unclear, Wave, find_waves
 from sasmap.ripples.estimation import second_system
+from sasmap.ripples.fit import Task, fit_wave
 from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import as_image
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.priors import Prior
 from sasmap.ripples.summary import summarise
 from tests.helpers import clip_of
 
@@ -54,6 +56,24 @@ def test_what_is_found_is_estimated():
     assert posterior.sampled
     assert abs(float(posterior.mean.frequency) / (8 / (300 * 0.05)) - 1) < 0.05
     assert (posterior.rippled > 0.5).mean() > 0.9
+
+
+def test_a_height_that_the_bounds_exclude_is_not_identifiable_and_says_so():
+    posterior = estimate(image(wave(-0.5, 0.1)), RippleSettings(height=(0.4, 0.5)), rng=1)
+    assert posterior.quality is Quality.NOT_IDENTIFIABLE
+    assert posterior.reason == Unclear.HEIGHT
+    assert posterior.probability > 0.9
+
+
+@pytest.mark.parametrize("turn", [1.52, 1.56, 1.6, 1.62])
+def test_a_wave_that_refines_across_the_track_is_fitted_along_the_look(turn):
+    seen = as_image(image(wave(turn, 0.4)))
+    task = Task(seen, RippleSettings(), Prior.natural(BOUNDS, (0.0, 0.5)), 0.02)
+    for guess in (1.53, 1.61):  # to either side of the track
+        toward = 8 / 15 * np.array([np.cos(guess), -np.sin(guess)])
+        fit = fit_wave(task, toward)
+        assert fit.geometry.along > 0
+        assert abs(np.hypot(fit.geometry.along, fit.geometry.across) * 15 / 8 - 1) < 0.02
 
 
 def test_probability_grows_with_contrast():
