@@ -15,7 +15,13 @@ from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import Fit, NoPlaceError, Task, fit_wave, pulses_at
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
-from sasmap.ripples.optimise import COORDINATES, HEIGHT, free_coordinates, sampled_coordinates
+from sasmap.ripples.optimise import (
+    COORDINATES,
+    HEIGHT,
+    free_coordinates,
+    line_of_lags,
+    sampled_coordinates,
+)
 from sasmap.ripples.posterior import (
     NOTHING,
     LeftOut,
@@ -145,24 +151,16 @@ def _default(
     image = as_image(clip)
     found = find_waves(image, settings.frequency)
     chosen = _candidates(found.waves)
-    if not chosen:
-        quality = Quality.NO_RIPPLES if found.unclear is None else Quality.NOT_IDENTIFIABLE
-        return Posterior(
-            quality,
-            prior,
-            left_out=LeftOut.SAMPLING,
-            probability=found.probability,
-            reason=found.reason,
-        )
     task = Task(image, settings, prior, clip.altitude_sd)
     fits = list(_fits(task, chosen))
     if not fits:
+        reason = Unclear.HEIGHT if chosen else found.reason
         return Posterior(
-            Quality.NOT_IDENTIFIABLE,
+            Quality.NOT_IDENTIFIABLE if reason else Quality.NO_RIPPLES,
             prior,
             left_out=LeftOut.SAMPLING,
             probability=found.probability,
-            reason=Unclear.HEIGHT,
+            reason=reason,
         )
     wave, fit = max(fits, key=lambda f: f[1].explained)
     other = second_system(found.waves, fit.phase.wave)
@@ -207,10 +205,10 @@ def _fits(task: Task, waves: list[Wave]) -> Iterator[tuple[Wave, Fit]]:
 
 def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> xr.Dataset:
     """Estimate a wave of a clip whose first system is estimated already."""
-    try:
-        fit = fit_wave(task, wave.vector)
-    except NoPlaceError:
+    fits = list(_fits(task, [wave]))
+    if not fits:
         return xr.Dataset()
+    fit = fits[0][1]
     if fit.geometry.along < MIN_ALONG * np.hypot(fit.geometry.along, fit.geometry.across):
         return xr.Dataset()
     points, _, done = _sampled(fit, task.settings, rng)
@@ -412,12 +410,8 @@ def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 def _lag_line(fit: Fit, z: FloatArray) -> tuple[float, float]:
     """Slope over range (cycles/m) and mean (cycles) of the lag of the image's fundamental."""
-    _, lags, _ = pulses_at(fit, z)
-    weight = fit.data.pixel_count.sum(axis=1)
-    cycles = np.unwrap(lags) / (2 * np.pi)
-    place = fit.data.place - np.average(fit.data.place, weights=weight)
-    slope = (weight * place) @ cycles / max(float(weight @ place**2), 1e-12)
-    return slope, float(np.average(cycles, weights=weight))
+    slope, mean, _ = line_of_lags(pulses_at(fit, z)[1], fit.data)
+    return slope / (2 * np.pi), mean / (2 * np.pi)
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:

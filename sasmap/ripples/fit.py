@@ -374,11 +374,9 @@ def misfit_of(fit: Fit, whole: Histogram) -> float:
     -------
     float
     """
-    data = whole
     means = with_fitted_errors(fit)
-    pixels, seen, expected = (
-        in_cells(data, v) for v in (data.pixel_count, data.intensity_sum, data.pixel_count * means)
-    )
+    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means
+    pixels, seen, expected = (in_cells(whole, v) for v in sums)
     count = np.maximum(pixels, 1.0)
     bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
     beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count

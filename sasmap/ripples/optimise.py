@@ -129,12 +129,30 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     ripple = parameters_at(np.append([0.0, 0.0], z[2:]), geometry)
     fill_pulses(ripple, data, geometry, pulses, levels)
     fill_lags(pulses, lags)
+    slope, lag, place = line_of_lags(lags, data)
+    return np.array([slope / (2 * np.pi), lag - slope * place])
+
+
+def line_of_lags(lags: FloatArray, data: Histogram) -> tuple[float, float, float]:
+    """Fit a line to the lags of blocks.
+
+    Parameters
+    ----------
+    lags : ndarray (blocks,)
+        rad, whole turns left out.
+    data : Histogram
+
+    Returns
+    -------
+    slope, mean, place : float
+        Slope over the place along the look, rad/m; mean lag, rad, and mean place, m.
+    """
     lags, weight = np.unwrap(lags), data.pixel_count.sum(axis=1)
     weight /= weight.sum()
-    place, lag = weight @ data.place, weight @ lags
+    place, lag = float(weight @ data.place), float(weight @ lags)
     apart = data.place - place
-    slope = (weight * apart) @ (lags - lag) / max(weight @ apart**2, 1e-12)
-    return np.array([slope / (2 * np.pi), lag - slope * place])
+    slope = float((weight * apart) @ (lags - lag) / max(weight @ apart**2, 1e-12))
+    return slope, lag, place
 
 
 def fisher_scoring(

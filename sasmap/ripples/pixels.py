@@ -6,11 +6,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.ripples.rendering import FAST
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Sums may be taken in any order, which lets the processor add several at once.
-FAST = {"reassoc", "contract", "nsz", "arcp"}
 # Sums of each bin and of each block of a phase-range histogram, in this order.
 COUNT, UNSATURATED, INTENSITY, OFFSET, REACH, BIN_SUMS = range(6)
 PIXELS, PLACE, RANGE, ALTITUDE, TREND, BLOCK_SUMS = range(6)

@@ -24,7 +24,7 @@ from sasmap.sediments.classes import Classes
 from sasmap.sediments.classmap import averaged, below_best, class_map, log_likelihoods, sieved
 from sasmap.sediments.fitting import Law, shares
 from sasmap.sediments.mapping import Line, paint, refined, sides, traced
-from sasmap.sediments.patches import pixels_of
+from sasmap.sediments.patches import counted
 from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import MARGIN, SHARED
 from sasmap.sediments.training import train_classes
@@ -196,7 +196,7 @@ class SedimentMap:
         """Count pixels by number of the class (256,)."""
         total = np.zeros(256, np.int64)
         for top in range(0, self.label.shape[0], SIDE):
-            total += pixels_of(self.label[slice(top, top + SIDE)])
+            total += counted(self.label[slice(top, top + SIDE)])
         return total
 
     def table(self, pixel_area: float, drawn: Sequence[Drawn]) -> list[dict[str, Any]]:

@@ -78,7 +78,7 @@ def _renumbered(number, first, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def pixels_of(label):  # type: ignore[no-untyped-def]
+def counted(label):  # type: ignore[no-untyped-def]
     """Pixels of each number of a map.
 
     Parameters
