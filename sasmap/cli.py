@@ -20,6 +20,7 @@ from sasmap.version import VERSION
 
 # Finished cells from whose rate the remaining time is estimated (a choice: seconds to minutes).
 LATEST = 32
+AGAIN = 1.0  # seconds until an interrupt that was dropped is raised again (a choice)
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -44,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"sasmap: {_readable(fault)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt as stop:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         print(f"sasmap: {stop or 'interrupted'}; run again to go on from here", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # who reads the output has seen enough; Python flushes it once more
@@ -285,12 +287,20 @@ class _Progress:
 
 
 def _terminated(*_: object) -> None:
-    raise KeyboardInterrupt("terminated")
+    """Interrupt the run, again each second until something acts on it.
+
+    Python drops an exception that reaches it in a callback of its own, as of an import's lock.
+    """
+    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):  # else the run is ending already
+        signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        raise KeyboardInterrupt("terminated")
 
 
 def console() -> None:
     """Run as a command; an interrupt does not wait for unfinished cells, which are discarded."""
-    signal.signal(signal.SIGTERM, _terminated)  # of a batch system: ends as an interrupt does
+    # of a batch system: ends as an interrupt does
+    signal.signal(signal.SIGTERM, _terminated)
+    signal.signal(signal.SIGALRM, _terminated)
     status = main()
     if status == INTERRUPTED:
         sys.stdout.flush()

@@ -143,3 +143,34 @@ def test_help_of_each_verb_has_an_example(capsys):
         with pytest.raises(SystemExit):
             main([verb, "--help"])
         assert "Example: sasmap" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_termination_that_python_drops_is_raised_again():
+    program = """
+import os, signal, sys, time, weakref
+import sasmap.cli
+
+class Thing: pass
+
+def ended(_):  # Python drops what is raised here
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.2)
+
+def work():
+    thing = Thing()
+    watch = weakref.ref(thing, ended)
+    del thing
+    print("goes on", flush=True)
+    time.sleep(20)
+    return 0
+
+sasmap.cli.survey_schema = work
+sys.argv = ["sasmap", "schema"]
+sasmap.cli.console()
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
+    )
+    assert ended.stdout == "goes on\n"
+    assert ended.returncode == 130
+    assert ended.stderr.splitlines()[-1] == "sasmap: terminated; run again to go on from here"

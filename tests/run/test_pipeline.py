@@ -223,7 +223,7 @@ def test_a_batch_system_that_ends_a_run_leaves_it_resumable_and_says_so(tmp_path
         time.sleep(0.05)
     process.terminate()
     _, said = process.communicate(timeout=200)
-    assert process.returncode == 130
+    assert process.returncode == 130, said
     assert said.splitlines()[-1] == "sasmap: terminated; run again to go on from here"
     last = path.read_text(encoding="utf-8").splitlines()[-1]
     assert last.endswith("ended: terminated; run again to go on from here")
