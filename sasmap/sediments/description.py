@@ -11,7 +11,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.bands import Bands, evened
-from sasmap.sediments.floor import Flat, Part, around, blocks_in
+from sasmap.sediments.floor import Flat, Part, around, blocks_in, tiles
 from sasmap.sediments.texture import LAGS, SCALES
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN, Blocks, trend_of
 
@@ -139,21 +139,43 @@ class BlockTexture:
             squares += off * (2 * levels + off * count)
             levels += off * count
             sums = np.stack([uniform_filter(v, AROUND, mode="constant") for v in sums])
-            count, means = sums[0], sums[1:] / np.maximum(sums[0], 1e-9)
-            enough = (count >= MIN_KNOWN * BLOCK**2) & ~near
-            levels, squares, apart = means[:split], means[split : 2 * split], means[2 * split :]
-            parts = [
-                levels[:1],
-                np.log(np.maximum(squares - levels**2, 1e-6)),
-                np.log(np.maximum(apart, 0) + 1e-6),
-            ]
+            enough = (sums[0] >= MIN_KNOWN * BLOCK**2) & ~near
+            values = _values(sums)
             if bands is not None:
-                parts[1:] = [[evened(v, enough, block, bands) for v in p] for p in parts[1:]]
-            described = np.moveaxis(np.concatenate(parts), 0, -1)
-            total += np.where(enough[..., None], described, 0.0)
+                values[1:] = [evened(v, enough, block, bands) for v in values[1:]]
+            total += np.where(enough[..., None], np.moveaxis(values, 0, -1), 0.0)
             looks += enough
         known = self.shown & (looks > 0)
         return np.where(known[..., None], total / np.maximum(looks, 1)[..., None], np.nan)
+
+
+def _values(sums: FloatArray) -> FloatArray:
+    """Mean log amplitude, log variances, log mean squares of differences of sums (13, ...)."""
+    means = sums[1:] / np.maximum(sums[0], 1e-9)
+    levels, squares, apart = np.split(means, [len(LEVELS), 2 * len(LEVELS)])
+    scatter = np.log(np.maximum(squares - levels**2, 1e-6))
+    return np.concatenate([levels[:1], scatter, np.log(np.maximum(apart, 0) + 1e-6)])
+
+
+def described(look: Flat, chosen: NDArray[np.bool_], workers: Workers = 1) -> FloatArray:
+    """Texture of a look's blocks, each on its own.
+
+    Parameters
+    ----------
+    look : Flat
+    chosen : ndarray of bool (block rows, block columns)
+    workers : int, None or callable
+        Threads, or what spreads work.
+
+    Returns
+    -------
+    ndarray (block rows, block columns, 9)
+        As :meth:`BlockTexture.under` returns it; NaN elsewhere and where too few pixels are known.
+    """
+    parts = [part for one in tiles(look.shape) if (part := _bounds(one, chosen)) is not None]
+    sums = np.moveaxis(_texture_sums(look, chosen.shape, parts, workers).astype(float), -1, 0)
+    there = chosen & (sums[0] >= MIN_KNOWN * BLOCK**2)
+    return np.where(there[..., None], np.moveaxis(_values(sums), 0, -1), np.nan)
 
 
 def _texture_sums(

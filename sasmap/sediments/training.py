@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.threads import Workers
+from sasmap.sediments.aligning import align
 from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, noise_factor
 from sasmap.sediments.fitting import Law, choose
@@ -61,8 +62,9 @@ def train_classes(
         _, groups = np.unique(labels[index], return_inverse=True)
         trends = refit(blocks, groups, index, trends)
     factor = noise_factor(looks, blocks)
-    pairs = zip(looks, trends, strict=True)
-    flat = [Flat(look, trend, centre, bands, k) for k, (look, trend) in enumerate(pairs)]
+    flat = _flat(looks, trends, centre, bands)
+    trends = align(flat, blocks, labels, count, workers)
+    flat = _flat(looks, trends, centre, bands)
     laws = []
     for k, (values, known) in enumerate(marked_values(flat, marks, count), 1):
         if known < LEAST_SAMPLES * factor:
@@ -74,6 +76,13 @@ def train_classes(
     none = dark_law(flat, dark_blocks(blocks, trends, laws), factor)
     texture = _trained_texture(flat, marks, laws) if count > 1 else None
     return Classes(tuple(laws), trends, centre, factor, none, texture, bands)
+
+
+def _flat(
+    looks: Sequence[AmplitudeGrid], trends: NDArray[np.float64], centre: float, bands: Bands | None
+) -> list[Flat]:
+    pairs = zip(looks, trends, strict=True)
+    return [Flat(look, trend, centre, bands, k) for k, (look, trend) in enumerate(pairs)]
 
 
 def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
