@@ -3,11 +3,16 @@
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 import sasmap
 from sasmap.run.pipeline import run_survey
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data"
+
+
+# tests run side by side: threads of linear algebra would wait for each other
+threadpool_limits(1, user_api="blas")
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from sasmap.catalogue import BY_FILE, LOG, MANIFEST, RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS
 from sasmap.errors import InputError, fault_of
 from sasmap.io.rasters import float_layer, write_large_cog
@@ -85,7 +87,9 @@ def run_survey(
     with clock.stage("check"):
         plan = make_plan(survey)
         check_fits(plan, workers)
-    with cluster(scheduler) as client:
+    # threads of linear algebra beside threads of cells wait for each other: on a busy machine a run
+    # took twice as long, and sums may depend on their number
+    with threadpool_limits(1, user_api="blas"), cluster(scheduler) as client:
         check_workers(client, sorted(plan.hashes))
         store = Store(_made(survey.output_folder))
         with locked(store.folder / LOCK), _logged(store.output / LOG) as note:

@@ -12,6 +12,7 @@ import rasterio
 import xarray as xr
 from affine import Affine
 from rio_cogeo import cog_validate
+from threadpoolctl import threadpool_info
 
 import sasmap
 from sasmap.cli import main
@@ -228,6 +229,17 @@ def test_a_batch_system_that_ends_a_run_leaves_it_resumable_and_says_so(tmp_path
     last = path.read_text(encoding="utf-8").splitlines()[-1]
     assert last.endswith("ended: terminated; run again to go on from here")
     assert not (tmp_path / ".sasmap" / "lock").exists()
+
+
+def test_linear_algebra_runs_on_one_thread(tmp_path):
+    def threads():
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    before, during = threads(), set()
+    survey = sasmap.load_survey(small_survey(tmp_path))
+    run_survey(survey, progress=lambda *_: during.update(threads()))
+    assert during == {1}
+    assert threads() == before
 
 
 def run(path, *options):
