@@ -302,7 +302,7 @@ def _learned(
         marks = _marks_of(labels[rows, columns], [s.stop - s.start for s in part])
         if marks.any():
             parts += [(channels(one.logs(wide))[:, *inner], marks) for one in flat]
-    return learn(parts, count, -(-DECIDING * len(flat) // len(parts)))
+    return learn(parts, count, -(-DECIDING * len(flat) // len(parts)), cores=True)
 
 
 def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int64]:

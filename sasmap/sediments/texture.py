@@ -151,7 +151,10 @@ def _apart(level: Single, known: NDArray[np.bool_] | None, axis: int, lag: int) 
 
 
 def learn(
-    parts: Sequence[tuple[Single, NDArray[np.integer]]], count: int, deciding: int = DECIDING
+    parts: Sequence[tuple[Single, NDArray[np.integer]]],
+    count: int,
+    deciding: int = DECIDING,
+    cores: bool = False,
 ) -> Texture:
     """Learn what classes look like from pixels at which they are known.
 
@@ -163,6 +166,9 @@ def learn(
         Classes; at least two, each of them shown.
     deciding : int
         Pixels of a class in a part that decide the weights.
+    cores : bool
+        Whether these lie inside areas of one class, so that they tell nothing of boundaries. Where
+        not, as marks of a person do, they tell where those lie.
 
     Returns
     -------
@@ -177,7 +183,10 @@ def learn(
         if chosen[0].size:
             features.append(_smoothed(found, low, high, ratio, chosen))
             classes.append(marks[chosen] - 1)
-    weight, offset = _weights(np.concatenate(features, axis=1), np.concatenate(classes), count)
+    every, known = np.concatenate(features, axis=1), np.concatenate(classes)
+    weight, offset = _weights(every, known, count)
+    if cores:
+        offset = offset + _midway(weight @ every + offset[:, None], known)
     weight = weight.reshape(count, CHANNELS, count - 1, len(WINDOWS))
     table = np.einsum("kcjw,cjb->wkcb", weight, ratio[:, 1:])
     return Texture(low, high, table, offset)
@@ -281,6 +290,20 @@ def _weights(
     ).x
     weight = best[: count * n].reshape(count, n) / sd
     return weight, best[count * n :] - weight @ mean
+
+
+def _midway(scores: FloatArray, classes: NDArray[np.int64]) -> FloatArray:
+    """Offsets (classes,) that make a window of two halves undecided.
+
+    The log odds of a window go from what one class has to what the other has as its share grows,
+    and are 0 in the middle if both are alike away from it. Where one class has more evidence a
+    pixel than the other, the boundary would lie in that one's favour.
+    """
+    each = range(len(scores))
+    level = np.array([np.median(scores[:, classes == k], axis=1) for k in each]).T
+    own = np.diag(level)
+    ahead = own[:, None] - level.T  # of class k in its own floor, over class j
+    return np.asarray((ahead.T - ahead).mean(axis=1) / 2)
 
 
 def evidence(texture: Texture, found: Single) -> Single:

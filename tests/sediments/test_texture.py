@@ -51,6 +51,17 @@ def test_beds_of_one_histogram_are_told_by_their_texture():
         assert agreement(label, truth) > 0.96
 
 
+def test_a_boundary_favours_neither_bed():
+    """Though one has more evidence a pixel: ten pixels would be lost to it."""
+    for seed, widths in ((1, (2.0, 0.0)), (11, (2.0, 0.0)), (21, (0.0, 3.0))):
+        looks, truth = halves(seed, widths)
+        label = class_map(log_likelihoods(looks, find_classes(looks))).label
+        if (label == truth + 1).mean() < 0.5:
+            label = 3 - label
+        shift = (label == 2).sum(axis=1) - (truth == 1).sum(axis=1)
+        assert abs(shift.mean()) < 5
+
+
 def test_texture_is_left_out_where_amplitude_suffices():
     looks, _ = halves(3, (0.0, 0.0), (1.0, 2.0))
     assert find_classes(looks).texture is None
