@@ -2,7 +2,7 @@
 
     python pipelines/sediments/real.py --data FOLDER --output DIR
 
-Runs the SASSED snippets 02 and 17 (assumed geometry) and the scotsman line through `sasmap run`,
+Runs the four SASSED snippets (assumed geometry) and the scotsman line through `sasmap run`,
 and draws boundaries (with their 95 % interval as a band) over the amplitude, and classes beside it.
 Needs matplotlib.
 """
@@ -25,8 +25,10 @@ import yaml
 from sasmap.cli import main as sasmap
 
 SURVEYS = {
-    "snippet_02": (["sassed/snippet_02.tif"], "sassed/navigation.csv", "starboard", 160),
-    "snippet_17": (["sassed/snippet_17.tif"], "sassed/navigation.csv", "starboard", 160),
+    **{
+        f"snippet_{k}": ([f"sassed/snippet_{k}.tif"], "sassed/navigation.csv", "starboard", 160)
+        for k in ("02", "17", "20", "31")
+    },
     "scotsman": (
         ["scotsman/port.tif", "scotsman/starboard.tif"], "scotsman/navigation.csv", "both", 200,
     ),

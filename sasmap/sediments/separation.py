@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import Flat, pixels_of
@@ -168,9 +169,12 @@ def _sharpness(
     relief = bool(beds) and _parted_by_relief(beds[i], beds[j])
     if not relief and not told < abs(whole) < APART:
         return 1.0
+    # blocks beside another class, or beside nothing, hold some of it
+    pure = binary_erosion((labels == i) | (labels == j), np.ones((3, 3)), border_value=1)
+    inside = np.where(pure, labels, -1)
     jumps = []
     for axis in (0, 1):
-        near, far = (np.moveaxis(v, axis, 0) for v in (labels, level))
+        near, far = (np.moveaxis(v, axis, 0) for v in (inside, level))
         step = far[:-LAG] - far[LAG:]
         jumps.append(step[(near[:-LAG] == i) & (near[LAG:] == j)])
         jumps.append(-step[(near[:-LAG] == j) & (near[LAG:] == i)])
