@@ -171,10 +171,10 @@ def _blurred(survey: _Survey, fewer: _Found, found: _Found) -> bool:
 
     Where it makes no classes fewer, it must leave less.
     """
-    plain = len(fewer.laws) < len(found.laws)
-    if plain and (found.labels >= 0).sum() < TELLING:
+    simpler = len(fewer.laws) < len(found.laws)
+    if simpler and (found.labels >= 0).sum() < TELLING:
         return False
-    limit = WORSE if plain else 1.0
+    limit = WORSE if simpler else 1.0
     return _spread(survey, fewer) > limit * _spread(survey, found)
 
 
