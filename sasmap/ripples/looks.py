@@ -44,8 +44,8 @@ SHIFT_SD, LOCAL_LAW = np.array([0.8, 0.5]), 0.05
 LEAST_KNOWN, MOST_KNOWN = 0.5, 0.8
 LOG_F, LOG_HEIGHT, AZIMUTH, LAW = 0, 1, 2, slice(3, 5)
 # A component of a posterior must know more than its prior: least eigenvalue of what it tells beyond
-# the prior, in its own standard deviations; by what its covariance is narrowed, and how often.
-LEAST_TOLD, NARROWED, NARROWINGS = 0.01, 0.8, 20
+# the prior, in its own standard deviations.
+LEAST_TOLD = 0.01
 # Standard deviation in constant of zero; log evidence of the impossible.
 NONE, LEAST_LEVEL = 1e-12, -1e9
 
@@ -234,39 +234,47 @@ def _likelihood(
     """Posterior components divided by the priors of law and steepness.
 
     A component that is wider than the priors somewhere, as one fitted to draws may be, would leave
-    a likelihood that grows without bound: it is narrowed until it is not.
+    a likelihood that grows without bound there, and a mean far away in all directions. It says next
+    to nothing in such a direction, and its mass under the priors is the weight that it has.
     """
-    for _ in range(NARROWINGS):
-        told = _without_priors(weight, mean, covariance, tangent, steepness)
-        scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        known = told.precision * scale[..., :, None] * scale[..., None, :]
-        wide = np.linalg.eigvalsh(known)[..., 0] < LEAST_TOLD
-        if not wide.any():
-            break
-        covariance = np.where(wide[..., None, None], NARROWED * covariance, covariance)
-    return told
-
-
-def _without_priors(
-    weight: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
-    tangent: FloatArray,
-    steepness: tuple[float, float],
-) -> Information:
+    prior = _priors(mean, tangent, steepness)
     precision: FloatArray = np.asarray(np.linalg.inv(covariance), float)
     linear = np.einsum("nkij,nkj->nki", precision, mean)
     with np.errstate(divide="ignore"):
-        level = np.log(weight)
-    level = level - 0.5 * (np.linalg.slogdet(covariance)[1] + (linear * mean).sum(axis=-1))
-    natural = _steepness_of_looks(mean, tangent, steepness)
-    level, linear, precision = (
-        a - b for a, b in zip((level, linear, precision), natural, strict=True)
-    )
+        mass = np.log(weight)
+    level = mass - 0.5 * (np.linalg.slogdet(covariance)[1] + (linear * mean).sum(axis=-1))
+    posterior = Information(level, linear, precision)
+    told = Information(*(a - b for a, b in zip(posterior, prior, strict=True)))
+    scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    values, axes = np.linalg.eigh(told.precision * scale[..., :, None] * scale[..., None, :])
+    wide = values < LEAST_TOLD
+    if not wide.any():
+        return told
+    # along its axes, in units of its standard deviations
+    values = np.maximum(values, LEAST_TOLD)
+    along = np.einsum("nkij,nki->nkj", axes, scale * told.linear)
+    there = np.einsum("nkij,nki->nkj", axes, mean / scale)
+    along = np.where(wide, values * there, along)
+    back = axes / scale[..., None]
+    linear = np.einsum("nkij,nkj->nki", back, along)
+    precision = np.einsum("nkij,nkj,nklj->nkil", back, values, back)
+    both = precision + prior.precision
+    right = linear + prior.linear
+    square = (right * np.linalg.solve(both, right[..., None])[..., 0]).sum(axis=-1)
+    level = mass - prior.level - 0.5 * (square - np.linalg.slogdet(both)[1])
+    clipped = wide.any(axis=-1)
+    kept = (clipped, clipped[..., None], clipped[..., None, None])
+    mended = zip(kept, (level, linear, precision), told, strict=True)
+    return Information(*(np.where(here, new, old) for here, new, old in mended))
+
+
+def _priors(mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]) -> Information:
+    """Priors of steepness and law in the looks' coordinates, about their components' means."""
+    level, linear, precision = _steepness_of_looks(mean, tangent, steepness)
     if mean.shape[2] == 5:
-        precision[:, :, LAW, LAW] -= np.diag(1 / LAW_VARIANCE)
-        linear[:, :, LAW] -= LAW_MEAN / LAW_VARIANCE
-        level += 0.5 * (LAW_MEAN**2 / LAW_VARIANCE + np.log(LAW_VARIANCE)).sum()
+        precision[:, :, LAW, LAW] += np.diag(1 / LAW_VARIANCE)
+        linear[:, :, LAW] += LAW_MEAN / LAW_VARIANCE
+        level = level - 0.5 * (LAW_MEAN**2 / LAW_VARIANCE + np.log(LAW_VARIANCE)).sum()
     return Information(level, linear, precision)
 
 
@@ -276,7 +284,9 @@ def _steepness_of_looks(
     """Prior of steepness in the looks' coordinates, linearised about their means (N, K, D)."""
     median, sd = steepness
     if not np.isfinite(sd):
-        return Information(np.zeros(mean.shape[:2]), 0 * mean, np.zeros((*mean.shape, 1)))
+        return Information(
+            np.zeros(mean.shape[:2]), 0 * mean, 0 * mean[..., None] * mean[..., None, :]
+        )
     row = np.zeros(mean.shape)
     row[..., [LOG_F, LOG_HEIGHT]] = 1.0
     middle = np.full(mean.shape[:2], np.log(0.5 * median))

@@ -18,6 +18,7 @@ from sasmap.ripples.looks import (
     LAW_VARIANCE,
     Shared,
     _likelihood,
+    _priors,
     collect,
     law_factor,
     steepness_factor,
@@ -393,3 +394,20 @@ def test_no_look_knows_less_than_its_prior():
     free[LAW, LAW] -= np.diag(1 / LAW_VARIANCE)
     assert told.precision[1, 0, 3, 3] <= free[3, 3]  # steepness was divided out as well
     assert told.precision[1, 0, 3, 3] > 0.8 * free[3, 3]
+
+
+def test_a_stray_component_neither_sharpens_a_look_nor_outweighs_it():
+    """Log contrast wider than the prior of steepness: narrowed, it once took a look over."""
+    sure = np.diag([2e-3, 0.3, 1.0, 0.4, 0.3]) ** 2
+    stray = np.diag([2e-3, 2.8, 1.0, 0.4, 0.3]) ** 2
+    weight = np.array([[0.999, 0.001]])
+    mean = np.array([[[-0.3, -1.0, 40.0, 1.2, 0.4], [-0.3, -5.0, 40.0, 1.2, 0.4]]])
+    steepness = 0.09, np.log(2)
+    told = _likelihood(weight, mean, np.array([[sure, stray]]), np.full(1, 0.3), steepness)
+    np.testing.assert_allclose(np.linalg.inv(told.precision)[0, :, 0, 0] ** 0.5, 2e-3, rtol=0.02)
+    # times the prior that it was divided by, each component has the mass that it had
+    prior = _priors(mean, np.full(1, 0.3), steepness)
+    level, linear, precision = (a + b for a, b in zip(told, prior, strict=True))
+    square = (linear * np.linalg.solve(precision, linear[..., None])[..., 0]).sum(axis=-1)
+    mass = np.exp(level + 0.5 * (square - np.linalg.slogdet(precision)[1]))
+    np.testing.assert_allclose(mass, weight, rtol=1e-6)
