@@ -4,9 +4,9 @@
 
 Every clip is drawn from the default model itself (Talts et al. 2018): height, scattering law, crest
 profile, noise, blur and altitude from their priors, and the errors that the model allows for
-(the law's departure from its family, the profile's third harmonic, errors that pixels of a
-wavelength share, a little light in shadow). A clip holds 6 to 12 straight wavelengths of 16 to 60
-pixels, seen at 5 to 50 m.
+(the law's departure from its family, the profile's third harmonic, heights that change over range,
+errors that pixels of a wavelength share, a little light in shadow). A clip holds 6 to 12 straight
+wavelengths of 16 to 60 pixels, seen at 5 to 50 m.
 Ranks are of the truth among the draws; the band is that of the ECDF of as many uniform ranks.
 Clips whose ripple is not detected are left out: the selection depends on the image alone, so that
 intervals must be calibrated on the others.
@@ -26,6 +26,7 @@ from sasmap.ripples.fit import (
     DARK_ERROR,
     ERROR_CELLS,
     FOUND_TO,
+    HEIGHT_TREND,
     LAW_ERROR,
     MODEL_ERROR,
     MODEL_SHIFT,
@@ -147,8 +148,15 @@ def simulate(
         one[None],
         one,
     )
+    # heights that change over range
+    across = np.pi * np.arange(n) / (n - 1)
+    waves = [sd * np.cos(k * across) * rng.normal() for k, sd in enumerate(HEIGHT_TREND, 1)]
+    heights = ripple.height * np.exp(np.sum(waves, axis=0))
     pulses = np.empty((n, BINS))
-    fill_pulses(ripple, every, geometry, pulses, np.empty(n))
+    for k, height in enumerate(heights):
+        column = Histogram(*(v[k : k + 1] for v in every[:-2]), *every[-2:])
+        taller = ripple._replace(height=height)
+        fill_pulses(taller, column, geometry, pulses[k : k + 1], np.empty(1))
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
     # errors of intensity in a wavelength of range and a part of phase, of place in all ranges
     group = ((reach - reach[0]) * geometry.along).astype(int)

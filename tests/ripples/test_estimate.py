@@ -167,7 +167,7 @@ def test_ripples_that_the_look_crosses_aslant(off_look):
     for name, truth in (("frequency", made.frequency), ("height", 0.08)):
         mean, sd = mean_and_sd(posterior, name)
         assert abs(mean - truth) < 4 * sd
-    assert abs(float(posterior.mean.height) / 0.08 - 1) < 0.15
+    assert abs(float(posterior.mean.height) / 0.08 - 1) < 0.25
     off = (posterior.azimuth[0] - made.azimuth + 90) % 180 - 90
     assert abs(off) < 4 * posterior.azimuth[1]
 
