@@ -19,7 +19,14 @@ from scipy.fft import fft2
 from sasmap.ripples.flattening import flattened
 from sasmap.ripples.fringes import follows_grazing
 from sasmap.ripples.image import Image
-from sasmap.ripples.places import contrast_of, extents, grain_of, lines_of, objectness
+from sasmap.ripples.places import (
+    contrast_of,
+    extents,
+    grain_of,
+    lines_of,
+    objectness,
+    undertone,
+)
 from sasmap.ripples.spectra import (
     MIN_PIXELS,
     MIN_WAVES,
@@ -51,8 +58,14 @@ GRAINS = (9.0, 12.0)
 # Ramp of the negative excess kurtosis over which the bonus sets in: grain and marks have pointed
 # profiles.
 ROUND = (-0.3, 0.0)
-# Least excess kurtosis of a profile across lines, and nats per unit of it.
-MAX_KURTOSIS, PER_KURTOSIS = 0.5, 6.0
+# Least excess kurtosis of a profile across lines, and nats per unit of it; what a train that fills
+# its place may have more, and ramp of the extent over the number of wavelengths: crests whose steep
+# side is seen are a sixth of a wavelength wide (0.8 to 1.6 more, at an extent of 0.75 to 0.9; lines
+# of another sonar's interference have 0.5 to 0.75).
+MAX_KURTOSIS, PER_KURTOSIS, NARROW, FILLING = 0.5, 6.0, 1.5, (0.75, 0.85)
+# Power at half the wave number over that at the wave above which blotches explain it, at so many
+# wavelengths and from so many on, and nats per unit of it.
+UNDERTONES, FEW_MANY, PER_UNDERTONE = (0.9, 0.4), (5.0, 6.5), 15.0
 # Log prior odds against a second system beside a first: about one rippled clip in twenty has one.
 SECOND = 3.0
 # Cosine of the angle within which waves have the same direction, and deviation of their ratio from
@@ -223,7 +236,7 @@ def _given(
 ) -> list[Wave]:
     """Find waves beside a known one (cycles per column and row) of another system."""
     told = (
-        _wave(image, flat, p)
+        _wave(image, flat, p, beside=True)
         for p in other_peaks(flat, image.valid, known)[:CANDIDATES]
         if _within(image, p, bounds)
         and _along_look(image, p) > MIN_ALONG
@@ -271,12 +284,15 @@ def _along_look(image: Image, peak: Peak) -> float:
     return float(abs(vector @ image.look) / np.hypot(*vector))
 
 
-def _wave(image: Image, flat: FloatArray, peak: Peak) -> Wave:
-    """Judge a peak by its place in the clip: the alternative that explains it best decides."""
+def _wave(image: Image, flat: FloatArray, peak: Peak, beside: bool = False) -> Wave:
+    """Judge a peak by its place in the clip: the alternative that explains it best decides.
+
+    `beside` tells that it is of a system beside a known one.
+    """
     whole = _whole(peak, flat)
     places = np.ascontiguousarray(flat[peak.part]), np.ascontiguousarray(image.valid[peak.part])
     evidence = np.inf
-    for rival in _rivals(image, flat, places, peak, whole):
+    for rival in _rivals(image, flat, places, peak, whole, beside):
         evidence = min(evidence, rival)
         if evidence < HOPELESS:
             break
@@ -289,6 +305,7 @@ def _rivals(
     places: tuple[FloatArray, NDArray[np.bool_]],
     peak: Peak,
     whole: bool,
+    beside: bool,
 ) -> Iterator[float]:
     """Log odds of a peak against alternative explanations, the fastest tests first."""
     contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # the rest is texture
@@ -302,7 +319,8 @@ def _rivals(
     yield told + strong
     lines = lines_of(*places, peak.per_pixel)
     yield told + strong * _ramp(-lines, *ROUND)
-    yield PER_KURTOSIS * (MAX_KURTOSIS - lines)
+    filled = _ramp(here.normal / peak.waves, *FILLING)
+    yield PER_KURTOSIS * (MAX_KURTOSIS + NARROW * filled - lines)
     least = MIN_EXTENT + OF_MORE * float(np.clip(peak.waves - MIN_EXTENT * 2, 0, 5))
     yield PER_WAVE * (here.normal - least)
     there = here if whole else extents(flat, image.valid, peak.per_pixel)
@@ -311,6 +329,10 @@ def _rivals(
     marks += PER_STEP * max(there.out_of_step - STEPS, 0.0) * _ramp(-there.normal, *LINES)
     yield REGULAR * max(told, 0.0) - marks
     yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel, there))
+    if not beside:  # half the wave number may be another system's
+        amplitude = np.sqrt(np.maximum(image.power[peak.part], 0.0))
+        most = np.interp(peak.waves, FEW_MANY, UNDERTONES)
+        yield PER_UNDERTONE * (most - undertone(amplitude, places[1], peak.per_pixel))
 
 
 def _ramp(value: float, low: float, high: float) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.pixels import box_sums, profile_boxes, wave_boxes
+from sasmap.ripples.spectra import taper
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -25,6 +26,8 @@ LEAST_OWN = 0.5
 LEAST_SHARE, MOST_SHARE = 0.004, 0.99
 # Bins of the profile per wavelength, where it has enough pixels.
 FINE, LONG_ENOUGH = 6, 12.0
+# Places around a wave number at which power is averaged, bins (a choice: as wide as the main lobe).
+AROUND = np.linspace(-1.5, 1.5, 5)
 # Ramp of the share of a profile's variance that is not speckle, over which its shape counts.
 SHAPE_FROM, SHAPE_SURE = 0.3, 0.6
 # Ramp of the skewness between profiles with dark lines and others: where shadow sets in it is -0.7
@@ -178,6 +181,37 @@ def grain_of(flat: FloatArray, valid: BoolArray) -> float:
     )  # fmt: skip
     shares = [float((a * b).sum()) / max(int((u & v).sum()), 1) / power for a, b, u, v in pairs]
     return float(1 / np.sqrt(-2 * np.log(np.clip(min(shares), LEAST_SHARE, MOST_SHARE))))
+
+
+def undertone(amplitude: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
+    """Power at half a wave's number over that at the wave: of blotches the longest have most.
+
+    Parameters
+    ----------
+    amplitude : ndarray (rows, columns)
+        With its trend, which would hide what is long.
+    valid : ndarray of bool (rows, columns)
+    per_pixel : ndarray (2,)
+        Cycles a column and a row.
+
+    Returns
+    -------
+    float
+        Of simulated ripples 0.1 at most, of recorded ones with four forked waves 0.02 to 0.4 (one
+        0.7), of directed blotches mostly 0.5 to 6.
+    """
+    rows, columns = amplitude.shape
+    level = np.where(valid, amplitude / amplitude[valid].mean() - 1, 0.0)
+    level *= taper(rows)[:, None] * taper(columns)
+    power = []
+    for scale in (0.5, 1.0):
+        down, across = (
+            np.exp(-2j * np.pi * np.arange(n)[:, None] * (scale * k + AROUND / n))
+            for n, k in ((rows, per_pixel[1]), (columns, per_pixel[0]))
+        )
+        near = np.hypot(AROUND[:, None], AROUND) <= AROUND[-1]
+        power.append(float((np.abs(down.T @ (level @ across)) ** 2)[near].mean()))
+    return power[0] / max(power[1], 1e-300)
 
 
 def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sasmap.ripples.places import extents, grain_of, objectness
+from sasmap.ripples.places import extents, grain_of, objectness, undertone
 
 SIZE, WAVELENGTH = 300, 20
 WAVE = np.array([1 / WAVELENGTH, 0.0])
@@ -118,3 +118,15 @@ def test_a_patch_of_ripples_is_none(power):
     inside = np.hypot(row - 150, column - 130) < 60
     level = 1 + 0.5 * inside * np.sin(2 * np.pi * column / WAVELENGTH)
     assert likeness(over_mean(speckled(np.sqrt(level)) ** power)) < 0.4
+
+
+def test_blotches_have_more_power_at_half_the_wave_number_and_ripples_less():
+    column = np.arange(SIZE) + np.zeros((SIZE, 1))
+    every = np.ones((SIZE, SIZE), bool)
+    ripples = speckled(1 + 0.2 * np.sin(2 * np.pi * column / WAVELENGTH))
+    # a trend is long, but not of the wave's undertone
+    assert undertone(ripples * (1 + column / SIZE), every, WAVE) < 0.05
+    rng = np.random.default_rng(0)
+    blotches = gaussian_filter(rng.normal(size=(SIZE, SIZE)), (14, 6), mode="wrap")
+    level = np.sqrt(np.clip(1 + 0.9 * blotches / blotches.std(), 0.03, None))
+    assert undertone(speckled(level), every, WAVE) > 1
