@@ -262,7 +262,7 @@ def _likelihood(
     right = linear + prior.linear
     square = (right * np.linalg.solve(both, right[..., None])[..., 0]).sum(axis=-1)
     level = mass - prior.level - 0.5 * (square - np.linalg.slogdet(both)[1])
-    clipped = wide.any(axis=-1)
+    clipped = np.asarray(wide.any(axis=-1))
     kept = (clipped, clipped[..., None], clipped[..., None, None])
     mended = zip(kept, (level, linear, precision), told, strict=True)
     return Information(*(np.where(here, new, old) for here, new, old in mended))
