@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,14 +11,19 @@ import rasterio
 from rasterio.windows import from_bounds
 
 from sasmap.ripples.fusion import fuse_cells, learn_survey
+from sasmap.ripples.posterior import Quality
 from sasmap.run.manifest import Outcome
 from sasmap.run.overlaps import Place, apart
 from sasmap.run.plan import Plan
 from sasmap.survey.cells import Cell, CellGrid
 
+log = logging.getLogger("sasmap")
+
 # Pixels across a cell at which the map is read, and the share of them that a class must have for
 # the cell to be its own (choices: overviews suffice, and a boundary may cross a corner).
 ACROSS, MOSTLY = 32, 0.8
+# Cells in which a pass must miss ripples that others show, at least, to be told (a choice).
+FLAT = 4
 
 
 def combine_cells(plan: Plan, outcome: Outcome) -> None:
@@ -48,6 +54,28 @@ def combine_cells(plan: Plan, outcome: Outcome) -> None:
         list(outcome.cells.values()), settings, outcome.survey, list(classes.values())
     )
     outcome.fused = dict(zip(outcome.cells, fused, strict=True))
+    for text in _unseen(plan, outcome):
+        outcome.warnings.append(text)
+        log.warning("warning: %s", text)
+
+
+def _unseen(plan: Plan, outcome: Outcome) -> list[str]:
+    """Warn of looks that show no ripples in most cells where others show some."""
+    qualities = [
+        [None if s is None else s.quality for s in summaries]
+        for summaries in outcome.cells.values()
+    ]
+    found = []
+    for k, swath in enumerate(plan.swaths):
+        where = [row[k] for row in qualities if row[k] and Quality.GOOD in row[:k] + row[k + 1 :]]
+        flat = where.count(Quality.NO_RIPPLES)
+        if flat >= FLAT and flat > 0.5 * len(where):
+            found.append(
+                f"pass {swath.label}: no ripples in {flat} of the {len(where)} cells where another "
+                "pass shows some: washed out in between, or too poor an image; results there are "
+                "the other's alone"
+            )
+    return found
 
 
 def classes_of_cells(

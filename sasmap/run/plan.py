@@ -161,8 +161,24 @@ def make_plan(survey: Survey) -> Plan:
         files.add(path)
     check_kept(survey, files)
     hashes = {f: hash_file(f) for f in sorted(files)}
+    opened = replace(opened, warnings=(*opened.warnings, *_told_twice(opened, hashes)))
     plan = Plan(opened, swaths, cells, tiles, hashes, tuple(_left_out(survey)), training, model)
     return replace(plan, overlapping=_overlapping(plan))
+
+
+def _told_twice(opened: OpenSurvey, hashes: dict[Path, str]) -> list[str]:
+    """Warn of tiles of one content: they count as often as they are listed."""
+    first: dict[str, tuple[str, Path]] = {}
+    found = []
+    for one in opened.passes:
+        for tile in one.tiles:
+            name, path = first.setdefault(hashes[tile.path], (one.name, tile.path))
+            if (name, path) != (one.name, tile.path):
+                found.append(
+                    f"{tile.path}: pass {one.name}: the same data as {path} of pass {name}: "
+                    "counted twice, so that intervals are too narrow; list it once"
+                )
+    return found
 
 
 def _met(

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import rasterio
 
+from sasmap.ripples.posterior import Quality
 from sasmap.run import combining
-from sasmap.run.combining import classes_of_cells, combine_cells
+from sasmap.run.combining import _unseen, classes_of_cells, combine_cells
 from sasmap.run.manifest import Outcome
 from sasmap.survey.cells import CellGrid
 
@@ -64,7 +65,9 @@ def test_the_second_stage_is_told_the_sediments_of_the_map(tmp_path, codes, monk
     monkeypatch.setattr(combining, "learn_survey", learn)
     monkeypatch.setattr(combining, "fuse_cells", fuse)
     plan = SimpleNamespace(
-        settings=SimpleNamespace(ripples=object(), seed=1), opened=SimpleNamespace(grid=grid())
+        settings=SimpleNamespace(ripples=object(), seed=1),
+        opened=SimpleNamespace(grid=grid()),
+        swaths=(),
     )
     plan.ripples = plan
     outcome = Outcome(tmp_path, cells={(0, 0): [None], (0, 1): [None]})
@@ -74,3 +77,17 @@ def test_the_second_stage_is_told_the_sediments_of_the_map(tmp_path, codes, monk
     outcome.sediments = [{"number": 1, "law": "k"}, {"number": 2, "law": "k"}]
     combine_cells(plan, outcome)
     assert told == {"learned": [1, 2], "combined": [1, 2]}
+
+
+def test_a_pass_that_misses_the_ripples_of_another_is_told():
+    def seen(*qualities):
+        return [None if q is None else SimpleNamespace(quality=q) for q in qualities]
+
+    good, none, odd = Quality.GOOD, Quality.NO_RIPPLES, Quality.NOT_IDENTIFIABLE
+    plan = SimpleNamespace(swaths=[SimpleNamespace(label="one"), SimpleNamespace(label="two")])
+    rows = [seen(good, none)] * 4 + [seen(good, odd)] * 3 + [seen(good, None), seen(none, none)]
+    cells = {(0, k): row for k, row in enumerate(rows)}
+    (text,) = _unseen(plan, SimpleNamespace(cells=cells))
+    assert text.startswith("pass two: no ripples in 4 of the 7 cells where another pass shows some")
+    cells = {(0, k): row for k, row in enumerate(rows[1:])}
+    assert _unseen(plan, SimpleNamespace(cells=cells)) == []

@@ -18,7 +18,7 @@ import sasmap
 from sasmap.cli import main
 from sasmap.run.pipeline import run_survey
 from sasmap.run.plan import make_plan
-from tests.helpers import small_survey, write_tile
+from tests.helpers import small_survey, with_pass, write_tile
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data"
 PRODUCTS = (
@@ -263,6 +263,17 @@ def test_only_what_a_change_touches_is_computed_again(tmp_path):
     nav = tmp_path / "nav.csv"
     nav.write_text(nav.read_text().replace(",5.0", ",5.1"))
     assert run(path).computed == 6
+
+
+def test_a_tile_that_two_passes_list_is_told(tmp_path):
+    path = small_survey(tmp_path)
+    assert not make_plan(sasmap.load_survey(path)).opened.warnings
+    (again,) = with_pass(name="two", tiles=["again.tif"])["passes"]
+    shutil.copy(tmp_path / "tiles" / "a.tif", tmp_path / "again.tif")
+    path = small_survey(tmp_path, passes=[*with_pass()["passes"], again])
+    (text,) = make_plan(sasmap.load_survey(path)).opened.warnings
+    assert "again.tif: pass two: the same data as" in text
+    assert text.endswith("list it once")
 
 
 def test_a_pass_added_later_leaves_the_first_one_alone(tmp_path):
