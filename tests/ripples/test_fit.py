@@ -3,7 +3,9 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from sasmap.ripples import fit
 from sasmap.ripples.fit import Fit, bin_weights, expected_at, misfit_of, with_errors
 from sasmap.ripples.optimise import fisher_scoring, search
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
@@ -103,3 +105,22 @@ def test_what_the_errors_of_the_law_explain_is_no_misfit():
     before = misfit_of(wrong, other)
     told = misfit_of(wrong._replace(data=with_errors(wrong)), other)
     assert told < 0.3 * before
+
+
+def test_what_heights_that_change_over_range_explain_is_no_misfit():
+    exact = fit_of(6, np.ones((6, BINS)), height=0.05)
+    place = exact.data.place
+    change = 0.15 * np.cos(np.pi * (place - place.min()) / np.ptp(place))
+    seen = np.empty_like(exact.data.pixel_count)
+    for k, height in enumerate(0.05 * np.exp(change)):
+        truth = ripple(height, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
+        seen[k] = noiseless(truth, exact.data, exact.geometry).intensity_sum[k]
+    wrong = exact._replace(data=exact.data._replace(intensity_sum=seen))
+    before = misfit_of(wrong, wrong.data)
+    told = misfit_of(wrong._replace(data=with_errors(wrong)), wrong.data)
+    assert told < 0.35 * before
+    # a law alone, or a profile, does not explain it
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit, "HEIGHT_TREND", ())
+        alone = misfit_of(wrong._replace(data=with_errors(wrong)), wrong.data)
+    assert told < 0.6 * alone
