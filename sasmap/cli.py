@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ctypes
 import logging
 import os
 import signal
@@ -20,6 +21,9 @@ from sasmap.version import VERSION
 
 # Finished cells from whose rate the remaining time is estimated (a choice: seconds to minutes).
 LATEST = 32
+# Heaps that threads share (glibc's parameter, and a choice): one of its own keeps what a thread's
+# largest cell needed, 150 of 870 MB of a run of 25 Mpx with two threads, and saves no time.
+ARENA_MAX, ARENAS = -8, 2
 AGAIN = 1.0  # seconds until an interrupt that was dropped is raised again (a choice)
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -296,8 +300,15 @@ def _terminated(*_: object) -> None:
         raise KeyboardInterrupt("terminated")
 
 
+def _share_heaps() -> bool:
+    """Limit the heaps of threads, where the C library can; whether it has done so."""
+    limit = getattr(ctypes.CDLL(None), "mallopt", None)
+    return limit is not None and limit(ARENA_MAX, ARENAS) == 1
+
+
 def console() -> None:
     """Run as a command; an interrupt does not wait for unfinished cells, which are discarded."""
+    _share_heaps()
     # of a batch system: ends as an interrupt does
     signal.signal(signal.SIGTERM, _terminated)
     signal.signal(signal.SIGALRM, _terminated)

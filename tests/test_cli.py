@@ -1,11 +1,12 @@
 import json
+import platform
 import subprocess
 import sys
 
 import pytest
 
 import sasmap
-from sasmap.cli import _Progress, main
+from sasmap.cli import _Progress, _share_heaps, main
 from tests.helpers import small_survey
 
 
@@ -174,3 +175,8 @@ sasmap.cli.console()
     assert ended.stdout == "goes on\n"
     assert ended.returncode == 130
     assert ended.stderr.splitlines()[-1] == "sasmap: terminated; run again to go on from here"
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_threads_share_heaps():
+    assert _share_heaps()
