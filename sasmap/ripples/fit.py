@@ -72,8 +72,8 @@ LEAST_LIGHT = 1e-4
 # near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
 LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
 # Change of log A_H over the range of a clip: standard deviations of its first cosines, and step by
-# which it is told. Of 61 cells of a simulator of others, whose heights change by 1.3 to 6 times or
-# come in groups, 9 were 4 standard deviations and 20 % off without, 1 with 0.07 and with 0.1, where
+# which it is told. Of 53 cells of a simulator of others, whose heights change by 1.3 to 10 times or
+# come in groups, 8 were 4 standard deviations and 20 % off without, 1 with 0.07 and with 0.1, where
 # calibration is worse (pipelines/ripples/calibration.py).
 HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
 # Error of the pulse's second harmonic where crests bend.
