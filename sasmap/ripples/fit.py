@@ -40,6 +40,7 @@ from sasmap.ripples.rendering import (
     LINE_OF_SIGHT,
     Geometry,
     Histogram,
+    Parameters,
     fill_expected,
     fill_lags,
     fill_pulses,
@@ -240,8 +241,12 @@ def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
+    return _expected(fit, parameters_at(z, fit.geometry))
+
+
+def _expected(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray]:
     means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
-    fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means, gains)
+    fill_expected(ripple, fit.data, fit.geometry, means, gains)
     return means, gains
 
 
@@ -350,9 +355,7 @@ def _height_trends(fit: Fit) -> list[FloatArray]:
     logs = []
     for step in (-HEIGHT_STEP, HEIGHT_STEP):
         taller = parameters._replace(height=parameters.height * np.exp(step))
-        means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
-        fill_expected(taller, fit.data, fit.geometry, means, gains)
-        logs.append(np.log(means))
+        logs.append(np.log(_expected(fit, taller)[0]))
     slope = (logs[1] - logs[0]) / (2 * HEIGHT_STEP)
     place = fit.data.place
     across = (place - place.min()) / max(float(np.ptp(place)), 1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,8 +15,6 @@ from sasmap.run.manifest import Outcome
 from sasmap.run.overlaps import Place, apart
 from sasmap.run.plan import Plan
 from sasmap.survey.cells import Cell, CellGrid
-
-log = logging.getLogger("sasmap")
 
 # Pixels across a cell at which the map is read, and the share of them that a class must have for
 # the cell to be its own (choices: overviews suffice, and a boundary may cross a corner).
@@ -55,8 +52,7 @@ def combine_cells(plan: Plan, outcome: Outcome) -> None:
     )
     outcome.fused = dict(zip(outcome.cells, fused, strict=True))
     for text in _unseen(plan, outcome):
-        outcome.warnings.append(text)
-        log.warning("warning: %s", text)
+        outcome.warn(text)
 
 
 def _unseen(plan: Plan, outcome: Outcome) -> list[str]:

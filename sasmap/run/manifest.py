@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import platform
@@ -27,6 +28,8 @@ from sasmap.ripples.survey import SurveyModel, quantiles_of
 from sasmap.run.plan import Plan, crs_name
 from sasmap.run.store import Store, code_version
 
+log = logging.getLogger("sasmap")
+
 
 @dataclass
 class Outcome:
@@ -45,6 +48,11 @@ class Outcome:
     computed: int = 0
     kept: int = 0
     written: list[Path] = field(default_factory=list)
+
+    def warn(self, text: str) -> None:
+        """Record a warning and log it."""
+        self.warnings.append(text)
+        log.warning("warning: %s", text)
 
     def counts(self) -> dict[str, int]:
         """Cells by quality."""

@@ -151,11 +151,10 @@ def _name_stale(store: Store, outcome: Outcome) -> None:
     names = [n for n in (*RIPPLE_PRODUCTS, *SEDIMENT_PRODUCTS) if not n.endswith(".aux.xml")]
     stale = [n for n in names if n not in written and (store.output / n).exists()]
     if stale:
-        outcome.warnings.append(
+        outcome.warn(
             f"{store.output}: {', '.join(stale)}: left by an earlier run, not made now: remove, "
             "or choose another output folder"
         )
-        log.warning("warning: %s", outcome.warnings[-1])
 
 
 @contextmanager
@@ -288,8 +287,7 @@ def _write_ripples(plan: Plan, store: Store, outcome: Outcome) -> None:
     )
     doubt = bands_or_ripples(outcome.cells, outcome.fused, plan.swaths)
     if doubt:
-        outcome.warnings.append(doubt)
-        log.warning("warning: %s", doubt)
+        outcome.warn(doubt)
     path = store.output / "ripples.nc"
     found = outcome.cells, outcome.fused, labels, names
     _attempt(

@@ -163,11 +163,10 @@ def _warn(plan: Plan, outcome: Outcome) -> None:
             if len({swath.sonar_pass.name for swath in plan.swaths}) > 1
             else "a pass from another side or range would tell whether they are sediments"
         )
-        outcome.warnings.append(
+        outcome.warn(
             f"sediments: levels that follow range over a whole line, by up to {gain:.1f} dB, are "
             f"taken for gain or beam pattern; {advice}"
         )
-        log.warning("warning: %s", outcome.warnings[-1])
 
 
 def _keep(store: Store, key: str, outcome: Outcome, written: list[Path]) -> None:

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from sasmap.numerics.order import median
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.description import described
 from sasmap.sediments.floor import TILE, Flat, tiles
-from sasmap.sediments.trends import BLOCK, Blocks, trend_of
+from sasmap.sediments.trends import BLOCK, Blocks, gain_over
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -74,37 +73,24 @@ def align(
         return trends
     classes = _classes(flat, blocks, labels, count, workers)
     while not known.all():
-        pair = _overlapping(blocks, known)
-        if pair is not None:
-            look, other = pair
-            trends[look, 0] = _same_floor(blocks, trends, look, other)
-        else:
-            look = int(np.argmin(known))
-            if classes:
-                seen = _thinned(blocks[look].known > 0)
-                trends[look, 0] += _likeliest_gain(_shown(flat[look], seen, workers), classes)
+        look, gain = _by_overlap(blocks, trends, known)
+        if gain is None and classes:
+            seen = _thinned(blocks[look].known > 0)
+            gain = trends[look, 0] + _likeliest_gain(_shown(flat[look], seen, workers), classes)
+        trends[look, 0] = trends[look, 0] if gain is None else gain
         known[look] = True
     return trends
 
 
-def _overlapping(blocks: Sequence[Blocks], known: Mask) -> tuple[int, int] | None:
-    """Return a look of unknown gain and one of known gain that show the same floor."""
-    looks = range(len(blocks))
-    for look, other in product(looks, looks):
-        both = (blocks[look].known > 0) & (blocks[other].known > 0)
-        if known[other] and not known[look] and both.any():
-            return look, other
-    return None
-
-
-def _same_floor(blocks: Sequence[Blocks], trends: FloatArray, look: int, other: int) -> float:
-    """Gain by which a look shows floor as another does."""
-    both = (blocks[look].known > 0) & (blocks[other].known > 0)
-    levels = [
-        (blocks[k].mean - trend_of(trends[k] * free, blocks[k].place))[both]
-        for k, free in ((look, np.array([0.0, 1.0, 1.0])), (other, np.ones(3)))
-    ]
-    return float(median(levels[0] - levels[1]))
+def _by_overlap(
+    blocks: Sequence[Blocks], trends: FloatArray, known: Mask
+) -> tuple[int, float | None]:
+    """Return a look of unknown gain and its gain by floor that one of known gain shows, if any."""
+    for look, other in product(np.flatnonzero(~known), np.flatnonzero(known)):
+        gain = gain_over(blocks[int(look)], trends[look], blocks[int(other)], trends[other])
+        if gain is not None:
+            return int(look), gain
+    return int(np.argmin(known)), None
 
 
 class _Class:

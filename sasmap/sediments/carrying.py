@@ -11,7 +11,7 @@ from sasmap.numerics.threads import Workers
 from sasmap.sediments.bands import SLIGHT, find_bands, leveled
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, log_moments, noise_factor
 from sasmap.sediments.fitting import Law
-from sasmap.sediments.floor import Flat, gather
+from sasmap.sediments.floor import flat_looks, gather
 from sasmap.sediments.trends import AmplitudeGrid, Blocks, first_trends, refit, trend_of
 
 FloatArray = NDArray[np.float64]
@@ -66,8 +66,7 @@ def carry_over(
         if better - score > 0.5 * free * np.log(max(seen, 2)):
             blocks, trends, taken = flat_blocks, others, bands
     factor = noise_factor(looks, blocks)
-    pairs = zip(looks, trends, strict=True)
-    flat = [Flat(look, trend, centre, taken, k) for k, (look, trend) in enumerate(pairs)]
+    flat = flat_looks(looks, trends, centre, taken)
     none = dark_law(flat, dark_blocks(blocks, trends, laws), factor)
     return Classes(tuple(laws), trends, centre, factor, none, bands=taken)
 

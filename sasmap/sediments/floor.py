@@ -111,6 +111,14 @@ class Flat:
         return np.log(np.where(values > 0, values, np.nan))
 
 
+def flat_looks(
+    looks: Sequence[AmplitudeGrid], trends: FloatArray, centre: float, bands: Bands | None
+) -> list[Flat]:
+    """Take gain, trend and bands, if there are any, off looks."""
+    pairs = enumerate(zip(looks, trends, strict=True))
+    return [Flat(look, trend, centre, bands, k) for k, (look, trend) in pairs]
+
+
 def tiles(shape: tuple[int, ...], side: int = TILE) -> list[Part]:
     """Tiles of a raster, row by row."""
     rows, columns = shape[:2]

@@ -13,7 +13,7 @@ from sasmap.sediments.aligning import align
 from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, noise_factor
 from sasmap.sediments.fitting import Law, choose
-from sasmap.sediments.floor import TILE, Flat, Part, gather, marked_values, tiles
+from sasmap.sediments.floor import TILE, Flat, Part, flat_looks, gather, marked_values, tiles
 from sasmap.sediments.texture import DECIDING, Texture, channels, learn, tells_more
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit, trend_of
 
@@ -62,9 +62,9 @@ def train_classes(
         _, groups = np.unique(labels[index], return_inverse=True)
         trends = refit(blocks, groups, index, trends)
     factor = noise_factor(looks, blocks)
-    flat = _flat(looks, trends, centre, bands)
+    flat = flat_looks(looks, trends, centre, bands)
     trends = align(flat, blocks, labels, count, workers)
-    flat = _flat(looks, trends, centre, bands)
+    flat = flat_looks(looks, trends, centre, bands)
     laws = []
     for k, (values, known) in enumerate(marked_values(flat, marks, count), 1):
         if known < LEAST_SAMPLES * factor:
@@ -76,13 +76,6 @@ def train_classes(
     none = dark_law(flat, dark_blocks(blocks, trends, laws), factor)
     texture = _trained_texture(flat, marks, laws) if count > 1 else None
     return Classes(tuple(laws), trends, centre, factor, none, texture, bands)
-
-
-def _flat(
-    looks: Sequence[AmplitudeGrid], trends: NDArray[np.float64], centre: float, bands: Bands | None
-) -> list[Flat]:
-    pairs = zip(looks, trends, strict=True)
-    return [Flat(look, trend, centre, bands, k) for k, (look, trend) in enumerate(pairs)]
 
 
 def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:

@@ -135,14 +135,37 @@ def first_trends(blocks: list[Blocks]) -> FloatArray:
     trends = np.zeros((len(blocks), 3))
     for k, block in enumerate(blocks):
         trends[k, 1:] = _slope(block)
-        level = block.mean - trend_of(trends[k], block.place)
         for j in range(k):
-            both = (block.known > 0) & (blocks[j].known > 0)
-            if both.any():
-                other = blocks[j].mean - trend_of(trends[j], blocks[j].place)
-                trends[k, 0] = np.median(level[both] - other[both])
+            gain = gain_over(block, trends[k], blocks[j], trends[j])
+            if gain is not None:
+                trends[k, 0] = gain
                 break
     return trends
+
+
+def gain_over(block: Blocks, trend: FloatArray, other: Blocks, known: FloatArray) -> float | None:
+    """Tell a look's gain by the floor that another look shows as well.
+
+    Parameters
+    ----------
+    block : Blocks
+    trend : ndarray (3,)
+        Gain (any), slope and bend.
+    other : Blocks
+        Of the other look.
+    known : ndarray (3,)
+        Gain, slope and bend of that one.
+
+    Returns
+    -------
+    float or None
+        None where they show no block in common.
+    """
+    both = (block.known > 0) & (other.known > 0)
+    if not both.any():
+        return None
+    level = block.mean - trend_of(trend * (0.0, 1.0, 1.0), block.place)
+    return float(np.median(level[both] - (other.mean - trend_of(known, other.place))[both]))
 
 
 def _slope(block: Blocks) -> FloatArray:
