@@ -21,9 +21,12 @@ from sasmap.version import VERSION
 
 # Finished cells from whose rate the remaining time is estimated (a choice: seconds to minutes).
 LATEST = 32
-# Heaps that threads share (glibc's parameter, and a choice): one of its own keeps what a thread's
-# largest cell needed, 150 of 870 MB of a run of 25 Mpx with two threads, and saves no time.
-ARENA_MAX, ARENAS = -8, 2
+# Parameters of glibc's heaps, and choices. Two that threads share (M_ARENA_MAX): one of its own keeps
+# what a thread's largest cell needed, 150 of 870 MB of a run of 25 Mpx with two threads, and saves
+# no time. Arrays up to 32 MB, the most that there can be, lie in them (M_MMAP_THRESHOLD), which keep
+# 256 MB when it is free (M_TRIM_THRESHOLD): to ask the system for each took 2 of 34 s of the
+# sediment stage of 100 Mpx, and no less memory.
+HEAPS = ((-8, 2), (-3, 32 << 20), (-1, 256 << 20))
 AGAIN = 1.0  # seconds until an interrupt that was dropped is raised again (a choice)
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -303,7 +306,7 @@ def _terminated(*_: object) -> None:
 def _share_heaps() -> bool:
     """Limit the heaps of threads, where the C library can; whether it has done so."""
     limit = getattr(ctypes.CDLL(None), "mallopt", None)
-    return limit is not None and limit(ARENA_MAX, ARENAS) == 1
+    return limit is not None and all(limit(*one) == 1 for one in HEAPS)
 
 
 def console() -> None:

@@ -110,7 +110,7 @@ def areas_of(
         In the order in which they end, from the top.
     """
     height, width = label.shape
-    found = _outlined(label, rippled, scratch)
+    found = _outlined(label, rippled, len(names), scratch)
     if not found:
         return []
 
@@ -140,10 +140,11 @@ def areas_of(
     ]
 
 
-def _outlined(label: Any, rippled: Any, scratch: Path) -> list[tuple[Any, int]]:
-    """Outlines in whole pixels, which meet exactly, and twice the class plus rippled."""
+def _outlined(label: Any, rippled: Any, count: int, scratch: Path) -> list[tuple[Any, int]]:
+    """Outlines in whole pixels, which meet exactly, and twice the class (of `count`) plus rippled."""
     height, width = label.shape
-    profile = {"driver": "GTiff", "dtype": "uint16", "count": 1, "compress": "lzw"}
+    dtype = "uint8" if count < 128 else "uint16"
+    profile = {"driver": "GTiff", "dtype": dtype, "count": 1}
     scratch.mkdir(parents=True, exist_ok=True)
     draft = scratch / "areas.tif"
     try:
@@ -154,7 +155,7 @@ def _outlined(label: Any, rippled: Any, scratch: Path) -> list[tuple[Any, int]]:
         ) as target:
             for top in range(0, height, STRIPE):
                 rows = slice(top, min(top + STRIPE, height))
-                both = label[rows].astype(np.uint16) * 2 + (rippled[rows] > 0)
+                both = label[rows].astype(dtype) * 2 + (rippled[rows] > 0)
                 both[label[rows] == 0] = 0
                 target.write(both, 1, window=Window(0, top, width, len(both)))
         with rasterio.open(draft) as source:

@@ -449,5 +449,7 @@ def _thinned(parts: list[Part], most: int) -> list[Part]:
 
 
 def _quantised(likelihood: NDArray[np.float32]) -> NDArray[np.int8]:
-    below = np.maximum(below_best(likelihood), np.float32(-DEEPEST))
-    return np.asarray(np.rint(below * np.float32(1 / STEP)), np.int8)
+    below = below_best(likelihood)
+    np.maximum(below, np.float32(-DEEPEST), out=below)
+    below *= np.float32(1 / STEP)
+    return np.rint(below, out=below).astype(np.int8)

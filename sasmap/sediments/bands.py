@@ -27,8 +27,8 @@ Index = NDArray[np.int64]
 # Log cotangents of a bin: 1 % of range, about a block at the far end of a swath of 100 blocks; and
 # blocks that a bin holds on average, at least; bins, at most.
 WIDTH, HELD, MOST = 0.01, 12, 200
-# Blocks apart, at most, of pairs that tell the gain; pairs of one direction and distance, at most.
-LAGS, PAIRS = 3, 50_000
+# Blocks apart, at most, of pairs that tell the gain; and pairs, about, at most.
+LAGS, PAIRS = 3, 300_000
 # The same where blocks of steep gain are left out in between: as wide as two steps of it are.
 FAR = 8
 # Mean difference in log cotangent from which two looks see a block differently: 10 % of range.
@@ -130,14 +130,16 @@ def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
     return result
 
 
-def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: Bands) -> FloatArray:
+def evened(
+    values: Sequence[FloatArray], known: NDArray[np.bool_], block: Blocks, bands: Bands
+) -> list[FloatArray]:
     """Take what follows angle, or range, off other statistics of a look's blocks.
 
     Noise lies under the floor by range, and resolution goes with it: where gain does, so may they.
 
     Parameters
     ----------
-    values : ndarray (block rows, block columns)
+    values : sequence of ndarray (block rows, block columns)
     known : ndarray of bool (block rows, block columns)
     block : Blocks
         Of the look.
@@ -146,16 +148,20 @@ def evened(values: FloatArray, known: NDArray[np.bool_], block: Blocks, bands: B
 
     Returns
     -------
-    ndarray (block rows, block columns)
+    list of ndarray (block rows, block columns)
     """
     if not known.any():
-        return values
+        return list(values)
     place = bands.place(block)
-    at, bins = _binned([block._replace(place=place, known=known.astype(float))])
-    gain = np.nan_to_num(
-        _solved(*_across(bins[0], np.where(known, values, 0.0), known, FAR), at.size)
-    )
-    return np.asarray(values - np.interp(place, at, gain))
+    at, (bins,) = _binned([block._replace(place=place, known=known.astype(float))])
+    one, other = _pairs(bins, known, FAR)
+    first, second = bins.ravel()[one], bins.ravel()[other]
+    found = []
+    for each in values:
+        flat = each.ravel()
+        gain = np.nan_to_num(_solved(first, second, flat[one] - flat[other], at.size))
+        found.append(each - np.interp(place, at, gain))
+    return found
 
 
 def leveled(blocks: Sequence[Blocks], bands: Bands) -> list[Blocks]:
@@ -178,7 +184,7 @@ def leveled(blocks: Sequence[Blocks], bands: Bands) -> list[Blocks]:
 def _leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
     """Take bands off a look's blocks."""
     spread = np.log(np.maximum(block.variance, 1e-6))
-    spread = evened(spread, block.known > 0, block, bands)
+    (spread,) = evened([spread], block.known > 0, block, bands)
     gain = bands.of_block(look, block)
     there = np.isfinite(gain)
     mean = np.where(there, block.mean - gain, 0.0)
@@ -284,23 +290,27 @@ def _binned(blocks: Sequence[Blocks]) -> tuple[FloatArray, list[Index]]:
 
 
 def _across(
-    bins: Index, level: FloatArray, known: NDArray[np.bool_], lags: int = LAGS
+    bins: Index, level: FloatArray, known: NDArray[np.bool_]
 ) -> tuple[Index, Index, FloatArray]:
     """Bins of near blocks of unlike range, and by how much their levels differ."""
-    first, second, change = [], [], []
+    one, other = _pairs(bins, known, LAGS)
+    bins, level = bins.ravel(), level.ravel()
+    return bins[one], bins[other], level[one] - level[other]
+
+
+def _pairs(bins: Index, known: NDArray[np.bool_], lags: int) -> tuple[Index, Index]:
+    """Places of near blocks of unlike range, and of their neighbours before them."""
+    number = np.arange(bins.size).reshape(bins.shape)
+    one, other = [], []
     for axis in (0, 1):
-        b, v, k = (
-            np.moveaxis(bins, axis, 0),
-            np.moveaxis(level, axis, 0),
-            np.moveaxis(known, axis, 0),
-        )
+        b, n, k = (np.moveaxis(v, axis, 0) for v in (bins, number, known))
         for lag in range(1, lags + 1):
             both = np.flatnonzero(k[lag:] & k[:-lag] & (b[lag:] != b[:-lag]))
-            both = both[:: max(both.size // PAIRS, 1) | 1]  # an odd step meets all columns
-            first.append(b[lag:].ravel()[both])
-            second.append(b[:-lag].ravel()[both])
-            change.append((v[lag:] - v[:-lag]).ravel()[both])
-    return np.concatenate(first), np.concatenate(second), np.concatenate(change)
+            # an odd step meets all columns
+            both = both[:: max(both.size * 2 * lags // PAIRS, 1) | 1]
+            one.append(n[lag:].ravel()[both])
+            other.append(n[:-lag].ravel()[both])
+    return np.concatenate(one), np.concatenate(other)
 
 
 def _solved(first: Index, second: Index, change: FloatArray, count: int) -> FloatArray:

@@ -11,7 +11,14 @@ from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
 
 from sasmap.sediments.classes import Classes
-from sasmap.sediments.field import likeliest, mean_field, table_sums, window_sums
+from sasmap.sediments.field import (
+    likeliest,
+    mean_field,
+    softmax,
+    table_sums,
+    window_means,
+    window_sums,
+)
 from sasmap.sediments.patches import patches, rims
 from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
@@ -50,24 +57,28 @@ def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.f
     """Log likelihoods of amplitude laws."""
     shape = looks[0].amplitude.shape
     result = np.zeros((len(classes.every), *shape), np.float32)
-    flat = result.reshape(len(result), -1)
     seen = np.zeros(shape, bool)
     laws = classes.every
     top = max(law.mean_square for law in laws) ** 0.5
     grid, step = np.linspace(np.log(1e-5 * top), np.log(50 * top), GRID, retstep=True)
     table = np.stack([law.log_density(np.exp(grid)) for law in laws])
     for i, look in enumerate(looks):
-        known = np.isfinite(look.amplitude) & (look.amplitude > 0)
-        altitude = None if look.altitude is None else look.altitude[known]
-        trend = classes.log_trend(i, look.cotangent[known], altitude)
-        logs = np.log(look.amplitude[known]) - trend
-        floor = np.isfinite(logs)  # gain is not known in the water column
-        logs, known[known] = logs[floor], floor
-        where = np.flatnonzero(known)
-        table_sums(logs, where, table, grid[0], float(step), 1 / classes.noise_factor, flat)
-        seen |= known
-    result[:, ~seen] = np.nan
+        logs = _logs(look)
+        if logs is not None:
+            logs -= classes.log_trend(i, look.cotangent, look.altitude)  # NaN in the water column
+            table_sums(logs, table, grid[0], float(step), 1 / classes.noise_factor, result, seen)
+    if not seen.all():
+        result[:, ~seen] = np.nan
     return result
+
+
+def _logs(look: AmplitudeGrid) -> NDArray[np.float32] | None:
+    """Log amplitude, NaN where there is none; None if nowhere is any."""
+    known = look.amplitude > 0
+    if not known.any():
+        return None
+    logs = np.full(known.shape, np.nan, np.float32)
+    return np.log(look.amplitude, out=logs, where=known)
 
 
 def _with_texture(
@@ -78,10 +89,9 @@ def _with_texture(
     result = np.zeros((len(classes.every), *shape), np.float32)
     seen = np.zeros(shape, np.float32)
     for i, look in enumerate(looks):
-        known = look.amplitude > 0
-        if not known.any():
+        logs = _logs(look)
+        if logs is None:
             continue
-        logs = np.log(np.where(known, look.amplitude, np.nan))
         logs -= classes.log_trend(i, np.nan_to_num(look.cotangent, nan=1.0), look.altitude)
         known = np.isfinite(logs)
         odds = evidence(texture, channels(logs))
@@ -118,9 +128,9 @@ def averaged(
     there = mask & np.isfinite(likelihood[0])
     if not there.any():
         return likelihood
-    sums = np.empty((len(likelihood) + 1, *there.shape), np.float32)
-    window_sums(np.where(there, np.vstack([likelihood, there[None]]), np.float32(0)), side, sums)
-    return np.where(there, sums[:-1] / np.maximum(sums[-1], 1), likelihood)
+    result = likelihood.copy()
+    window_means(likelihood, there, side, result)
+    return result
 
 
 def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -172,7 +182,7 @@ def class_map(
         return ClassMap(seen.astype(np.uint8), one)
     share = np.empty_like(level)
     window_sums(level, FIRST_WINDOW, share)
-    share = _softmax(share) * seen
+    softmax(share, seen)
     mean_field(level, seen, share, FIELD, STRENGTH, ROUNDS)
     label, highest = likeliest(share, seen)
     label = sieved(label, whole=whole)
@@ -223,8 +233,3 @@ def sieved(
     result = label.copy()
     result[lost] = label[tuple(nearest.T)]
     return result
-
-
-def _softmax(level: NDArray[np.floating]) -> NDArray[np.float32]:
-    rest = np.exp(level - level.max(axis=0))
-    return np.asarray(rest / rest.sum(axis=0), np.float32)

@@ -142,7 +142,7 @@ class BlockTexture:
             enough = (sums[0] >= MIN_KNOWN * BLOCK**2) & ~near
             values = _values(sums)
             if bands is not None:
-                values[1:] = [evened(v, enough, block, bands) for v in values[1:]]
+                values[1:] = evened(values[1:], enough, block, bands)
             total += np.where(enough[..., None], np.moveaxis(values, 0, -1), 0.0)
             looks += enough
         known = self.shown & (looks > 0)

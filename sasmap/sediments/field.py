@@ -16,31 +16,35 @@ DEEPEST = np.float32(-16.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def table_sums(logs, where, table, low, step, weight, result):  # type: ignore[no-untyped-def]
+def table_sums(logs, table, low, step, weight, result, seen):  # type: ignore[no-untyped-def]
     """Add to each class's log likelihood what its table gives, linear between entries.
 
     Parameters
     ----------
-    logs : ndarray (n,)
-        Log amplitudes.
-    where : ndarray of int (n,)
-        Pixel of each.
+    logs : ndarray (rows, columns)
+        Log amplitudes; not finite where there is none.
     table : ndarray (classes, entries)
         Log densities at `low`, `low + step`, ...; the first and last hold beyond the ends.
     low, step : float
     weight : float
         Of each.
-    result : ndarray (classes, pixels)
+    result : ndarray (classes, rows, columns)
         Added to.
+    seen : ndarray of bool (rows, columns)
+        Set where there is one.
     """
     last = table.shape[1] - 1
-    for i in range(logs.size):
-        place = min(max((logs[i] - low) / step, 0.0), float(last))
-        k = min(int(place), last - 1)
-        part = place - k
-        for c in range(table.shape[0]):
-            value = table[c, k] + part * (table[c, k + 1] - table[c, k])
-            result[c, where[i]] += weight * value
+    for r in range(logs.shape[0]):
+        for c in range(logs.shape[1]):
+            if not np.isfinite(logs[r, c]):
+                continue
+            seen[r, c] = True
+            place = min(max((logs[r, c] - low) / step, 0.0), float(last))
+            k = min(int(place), last - 1)
+            part = place - k
+            for i in range(table.shape[0]):
+                value = table[i, k] + part * (table[i, k + 1] - table[i, k])
+                result[i, r, c] += weight * value
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -51,6 +55,58 @@ def window_sums(level, width, result):  # type: ignore[no-untyped-def]
     for k in range(classes):
         _sum_boxes(level[k], (0, rows, 0, columns), width // 2, sums)
         result[k] = sums
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def window_means(values, there, width, result):  # type: ignore[no-untyped-def]
+    """Average each class over square windows of odd width, of pixels that are there and for them.
+
+    Parameters
+    ----------
+    values : ndarray (classes, rows, columns)
+    there : ndarray of bool (rows, columns)
+    width : int
+    result : ndarray (classes, rows, columns)
+        Changed where there.
+    """
+    classes, rows, columns = values.shape
+    box = (0, rows, 0, columns)
+    count, sums = np.empty((rows, columns)), np.empty((rows, columns))
+    _sum_boxes(there.astype(np.float32), box, width // 2, count)
+    masked = np.empty((rows, columns), np.float32)
+    for k in range(classes):
+        for r in range(rows):
+            for c in range(columns):
+                masked[r, c] = values[k, r, c] if there[r, c] else np.float32(0.0)
+        _sum_boxes(masked, box, width // 2, sums)
+        for r in range(rows):
+            for c in range(columns):
+                if there[r, c]:
+                    result[k, r, c] = sums[r, c] / count[r, c]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def softmax(level, seen):  # type: ignore[no-untyped-def]
+    """Turn log weights of classes into their shares, in place; 0 where nothing is seen.
+
+    Parameters
+    ----------
+    level : ndarray of float32 (classes, rows, columns)
+    seen : ndarray of bool (rows, columns)
+    """
+    classes, rows, columns = level.shape
+    top, mass = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    for r in range(rows):
+        top[:] = level[0, r]
+        for k in range(1, classes):
+            for c in range(columns):
+                top[c] = max(top[c], level[k, r, c])
+        mass[:] = 0.0
+        for k in range(classes):
+            _exponentials(level[k, r], top, mass)
+        for k in range(classes):
+            for c in range(columns):
+                level[k, r, c] = level[k, r, c] / mass[c] if seen[r, c] else np.float32(0.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

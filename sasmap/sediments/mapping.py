@@ -159,7 +159,7 @@ def _classes_of(label: Any) -> list[int]:
     """Numbers of the classes on a map, rising."""
     there = np.zeros(256, bool)
     for part in _stripes(label):
-        there[np.unique(label[part])] = True
+        there |= np.bincount(label[part].ravel(), minlength=256) > 0
     return [int(k) for k in np.flatnonzero(there) if k > 0]
 
 
@@ -170,9 +170,13 @@ def _outlines(label: Any, k: int) -> list[FloatArray]:
     for top in range(-1, rows, STRIPE):
         bottom = min(top + STRIPE, rows)
         part = label[max(top, 0) : min(bottom + 1, rows)] == k
+        held = np.flatnonzero(part.any(axis=0))
+        if not held.size:
+            continue
+        part = part[:, held[0] : held[-1] + 1]
         part = np.pad(part, ((int(top < 0), int(bottom == rows)), (1, 1)))
-        for contour in find_contours(part.astype(float), 0.5) if part.any() else ():
-            pieces.append(contour + np.array([top, -1]))
+        for contour in find_contours(part.astype(float), 0.5):
+            pieces.append(contour + np.array([top, held[0] - 1]))
     return _joined(pieces)
 
 

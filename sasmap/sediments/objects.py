@@ -98,8 +98,10 @@ def find_objects(
     far = _thinned(cotangent, level.shape)
     over = np.where(there, level - _floor(level, there), 0.0)
     bright = _hard((over > BRIGHT) & (far > STEEP), over, there, LEAST_BRIGHT)
+    if not bright.any():
+        return nothing
     shadow = _hard(over < -SHADOW, over, there, LEAST_SHADOW)
-    if not bright.any() or not shadow.any():
+    if not shadow.any():
         return nothing
     places, count = _paired(bright, shadow, far)
     kept = _apart(places, count, (bright, shadow), _thinned(rippled, level.shape) > 0)
@@ -141,6 +143,8 @@ def _hard(mask: Mask, over: NDArray[np.floating], there: Mask, least: int) -> Ma
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     large = sizes >= least
     large[0] = False
+    if not large.any():
+        return np.zeros_like(mask)
     parts = np.where(large[parts], parts, 0)
     # an edge is two squares wide where it is a step, and what lies beyond is floor
     near = generate_binary_structure(2, 2)

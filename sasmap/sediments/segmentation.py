@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled, steep
@@ -201,7 +202,11 @@ def _over_waves(block: Blocks, beds: Dark) -> Blocks:
 
     def smooth(values: FloatArray) -> FloatArray:
         filled = np.where(known, values, np.median(values[mine]))
-        return np.where(mine, median_filter(filled, WAVES, mode="nearest"), values)
+        wide = np.pad(filled, WAVES // 2, "edge")
+        around = sliding_window_view(wide, (WAVES, WAVES))[mine].reshape(-1, WAVES**2)
+        result = values.copy()
+        result[mine] = np.median(around, axis=1, overwrite_input=True)
+        return result
 
     return block._replace(mean=smooth(block.mean), variance=smooth(block.variance))
 

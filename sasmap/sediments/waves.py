@@ -27,8 +27,11 @@ Part = tuple[slice, slice]
 
 # Pixels a side that are averaged first; averaged pixels a side of windows, which overlap by half:
 # small ones find short ripples in small patches, large ones long and weak ones.
-COARSE, WINDOWS = 4, (64, 128)
-LATTICE, MARGIN = COARSE * WINDOWS[-1] // 2, COARSE * WINDOWS[-1]
+COARSE, WINDOWS = 4, (128, 64)
+LATTICE, MARGIN = COARSE * WINDOWS[0] // 2, COARSE * WINDOWS[0]
+# Modes of a small window by which its wave may differ from that of a large one around it that then
+# suffices: they are half a mode of either apart, down and across, if they are the same.
+SAME = 1.5
 # Waves that are looked for, averaged pixels: shorter ones are averaged over by the blocks of
 # pixels that sediments are found by (16 pixels); and how many a window must hold.
 SHORTEST, FEWEST = 5.0, 4
@@ -95,18 +98,25 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
     rows, columns = (slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
     level, known = coarse(amplitude)
     profile, weight, rippled = (np.zeros(level.shape, np.float32) for _ in range(3))
+    told: list[tuple[Part, _Wave]] = []
     for size in WINDOWS:
-        for part, wave in _waves_about(level, known, (rows, columns), size):
+        found = [
+            (part, wave)
+            for part, wave in _waves_about(level, known, (rows, columns), size)
+            if not any(_within(part, p) and wave.near(w, SAME / size) for p, w in told)
+        ]
+        told += found
+        for part, wave in found:
             taper = np.hanning(size + 2)[1:-1].astype(np.float32)
             height, width = (s.stop - s.start for s in part)
             hat = np.outer(taper[:height], taper[:width])
             weight[part] += hat
-            there, found = _profile(level[part], known[part], wave)
-            profile[part] += hat * found
+            there, logs = _profile(level[part], known[part], wave.number)
+            profile[part] += hat * logs
             rippled[part] += hat * there
-    shape = tuple(s.stop - s.start for s in inner)
     if not rippled.any():
-        return Waves(np.zeros(shape, np.float32), np.zeros(shape, bool))
+        size = [s.stop - s.start for s in inner]
+        return Waves(np.zeros(size, np.float32), np.zeros(size, bool))
     mask = (rippled > 0.5 * np.maximum(weight, 1e-9)) & (known > 0)
     # as those windows see it that find ripples there
     fine = _fine(np.where(mask, profile / np.maximum(rippled, 1e-9), 0), inner)
@@ -164,14 +174,18 @@ class _Wave(NamedTuple):
 
     def like(self, other: _Wave) -> bool:
         """Whether another wave is nearly the same."""
+        return self.near(other, BESIDE * hypot(*other.number))
+
+    def near(self, other: _Wave, most: float) -> bool:
+        """Whether wave numbers, of which the opposite is the same, differ by so much at most."""
         apart = hypot(self.down - other.down, self.across - other.across)
         mirrored = hypot(self.down + other.down, self.across + other.across)
-        return min(apart, mirrored) <= BESIDE * hypot(*other.number)
+        return min(apart, mirrored) <= most
 
 
 def _waves_about(
     level: FloatArray, known: FloatArray, asked: Part, size: int
-) -> Iterator[tuple[Part, tuple[float, float]]]:
+) -> Iterator[tuple[Part, _Wave]]:
     """Yield the windows that see what is asked, and their waves, where they have one.
 
     What holds few ripples tells nothing of those that others find in it.
@@ -185,7 +199,11 @@ def _waves_about(
     sure = [(p, wave) for p, wave in found + others if wave.rise >= RISES[1]]
     for part, wave in found:
         if wave.rise >= RISES[1] or any(_overlap(part, p) and wave.like(w) for p, w in sure):
-            yield part, wave.number
+            yield part, wave
+
+
+def _within(first: Part, second: Part) -> bool:
+    return all(a.start >= b.start and a.stop <= b.stop for a, b in zip(first, second, strict=True))
 
 
 def _overlap(first: Part, second: Part) -> bool:
@@ -305,7 +323,7 @@ class _Along:
         self._length = 1 / hypot(*wave)
         self._way = (wave[0] * self._length, wave[1] * self._length)
         self._shape = tuple(
-            next_fast_len(n + min(ceil(PADDED * self._spread(*WIDEST, k)), WINDOWS[-1] // 2))
+            next_fast_len(n + min(ceil(PADDED * self._spread(*WIDEST, k)), WINDOWS[0] // 2))
             for k, n in enumerate(known.shape)
         )
         self._spectrum: NDArray[np.complexfloating] = rfft(known, self._shape[1])
