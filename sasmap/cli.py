@@ -21,11 +21,11 @@ from sasmap.version import VERSION
 
 # Finished cells from whose rate the remaining time is estimated (a choice: seconds to minutes).
 LATEST = 32
-# Parameters of glibc's heaps, and choices. Two that threads share (M_ARENA_MAX): one of its own keeps
-# what a thread's largest cell needed, 150 of 870 MB of a run of 25 Mpx with two threads, and saves
-# no time. Arrays up to 32 MB, the most that there can be, lie in them (M_MMAP_THRESHOLD), which keep
-# 256 MB when it is free (M_TRIM_THRESHOLD): to ask the system for each took 2 of 34 s of the
-# sediment stage of 100 Mpx, and no less memory.
+# Parameters of glibc's heaps, and choices. Two that threads share (M_ARENA_MAX): one of its own
+# keeps what a thread's largest cell needed, 150 of 870 MB of a run of 25 Mpx with two threads, and
+# saves no time. Arrays up to 32 MB, the most that there can be, lie in them (M_MMAP_THRESHOLD), and
+# they keep 256 MB of what is free (M_TRIM_THRESHOLD): to ask the system for each took 2 of 34 s of
+# the sediment stage of 100 Mpx, and as much memory.
 HEAPS = ((-8, 2), (-3, 32 << 20), (-1, 256 << 20))
 AGAIN = 1.0  # seconds until an interrupt that was dropped is raised again (a choice)
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

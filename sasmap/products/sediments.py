@@ -141,7 +141,7 @@ def areas_of(
 
 
 def _outlined(label: Any, rippled: Any, count: int, scratch: Path) -> list[tuple[Any, int]]:
-    """Outlines in whole pixels, which meet exactly, and twice the class (of `count`) plus rippled."""
+    """Outlines in whole pixels, which meet exactly, and twice their class plus rippled."""
     height, width = label.shape
     dtype = "uint8" if count < 128 else "uint16"
     profile = {"driver": "GTiff", "dtype": dtype, "count": 1}

@@ -11,7 +11,7 @@ weights): with Cauchy's, a slightly oblique boundary of 1.8 dB went into the gai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numba
@@ -131,7 +131,7 @@ def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
 
 
 def evened(
-    values: Sequence[FloatArray], known: NDArray[np.bool_], block: Blocks, bands: Bands
+    values: Iterable[FloatArray], known: NDArray[np.bool_], block: Blocks, bands: Bands
 ) -> list[FloatArray]:
     """Take what follows angle, or range, off other statistics of a look's blocks.
 
@@ -139,7 +139,7 @@ def evened(
 
     Parameters
     ----------
-    values : sequence of ndarray (block rows, block columns)
+    values : iterable of ndarray (block rows, block columns)
     known : ndarray of bool (block rows, block columns)
     block : Blocks
         Of the look.

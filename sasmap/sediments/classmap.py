@@ -78,7 +78,8 @@ def _logs(look: AmplitudeGrid) -> NDArray[np.float32] | None:
     if not known.any():
         return None
     logs = np.full(known.shape, np.nan, np.float32)
-    return np.log(look.amplitude, out=logs, where=known)
+    np.log(look.amplitude, out=logs, where=known)
+    return logs
 
 
 def _with_texture(

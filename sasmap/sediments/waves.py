@@ -29,8 +29,8 @@ Part = tuple[slice, slice]
 # small ones find short ripples in small patches, large ones long and weak ones.
 COARSE, WINDOWS = 4, (128, 64)
 LATTICE, MARGIN = COARSE * WINDOWS[0] // 2, COARSE * WINDOWS[0]
-# Modes of a small window by which its wave may differ from that of a large one around it that then
-# suffices: they are half a mode of either apart, down and across, if they are the same.
+# Modes of a small window by which its wave may differ from that of a large one that finds ripples
+# all over it, and so suffices: where they are the same they are up to one apart.
 SAME = 1.5
 # Waves that are looked for, averaged pixels: shorter ones are averaged over by the blocks of
 # pixels that sediments are found by (16 pixels); and how many a window must hold.
@@ -98,22 +98,20 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
     rows, columns = (slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
     level, known = coarse(amplitude)
     profile, weight, rippled = (np.zeros(level.shape, np.float32) for _ in range(3))
-    told: list[tuple[Part, _Wave]] = []
+    told: list[tuple[Part, _Wave, NDArray[np.bool_]]] = []
     for size in WINDOWS:
-        found = [
-            (part, wave)
-            for part, wave in _waves_about(level, known, (rows, columns), size)
-            if not any(_within(part, p) and wave.near(w, SAME / size) for p, w in told)
-        ]
-        told += found
-        for part, wave in found:
+        larger = tuple(told)
+        for part, wave in _waves_about(level, known, (rows, columns), size):
+            if any(wave.near(w, SAME / size) and _all(there, p, part) for p, w, there in larger):
+                continue
             taper = np.hanning(size + 2)[1:-1].astype(np.float32)
             height, width = (s.stop - s.start for s in part)
             hat = np.outer(taper[:height], taper[:width])
             weight[part] += hat
-            there, logs = _profile(level[part], known[part], wave.number)
-            profile[part] += hat * logs
+            there, found = _profile(level[part], known[part], wave.number)
+            profile[part] += hat * found
             rippled[part] += hat * there
+            told.append((part, wave, there))
     if not rippled.any():
         size = [s.stop - s.start for s in inner]
         return Waves(np.zeros(size, np.float32), np.zeros(size, bool))
@@ -202,8 +200,11 @@ def _waves_about(
             yield part, wave
 
 
-def _within(first: Part, second: Part) -> bool:
-    return all(a.start >= b.start and a.stop <= b.stop for a, b in zip(first, second, strict=True))
+def _all(mask: NDArray[np.bool_], whole: Part, part: Part) -> bool:
+    """Whether a part lies in a window and a mask of that holds all of it."""
+    inside = all(a.start <= b.start and b.stop <= a.stop for a, b in zip(whole, part, strict=True))
+    place = (slice(b.start - a.start, b.stop - a.start) for a, b in zip(whole, part, strict=True))
+    return inside and bool(mask[tuple(place)].all())
 
 
 def _overlap(first: Part, second: Part) -> bool:
