@@ -113,8 +113,8 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
             rippled[part] += hat * there
             told.append((part, wave, there))
     if not rippled.any():
-        size = [s.stop - s.start for s in inner]
-        return Waves(np.zeros(size, np.float32), np.zeros(size, bool))
+        asked = [s.stop - s.start for s in inner]
+        return Waves(np.zeros(asked, np.float32), np.zeros(asked, bool))
     mask = (rippled > 0.5 * np.maximum(weight, 1e-9)) & (known > 0)
     # as those windows see it that find ripples there
     fine = _fine(np.where(mask, profile / np.maximum(rippled, 1e-9), 0), inner)
