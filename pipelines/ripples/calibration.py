@@ -22,16 +22,16 @@ import numpy as np
 from scipy import stats
 
 from sasmap.ripples import Clip, Prior, Quality, RippleSettings, estimate
-from sasmap.ripples.fit import (
+from sasmap.ripples.errors import (
     DARK_ERROR,
     ERROR_CELLS,
-    FOUND_TO,
     HEIGHT_TREND,
     LAW_ERROR,
     MODEL_ERROR,
     MODEL_SHIFT,
     THIRD_HARMONIC,
 )
+from sasmap.ripples.fit import FOUND_TO
 from sasmap.ripples.optimise import COORDINATES, HEIGHT
 from sasmap.ripples.rendering import (
     LAW_BOUNDS,

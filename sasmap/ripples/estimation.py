@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
+from sasmap.ripples.errors import turned_by_errors
 from sasmap.ripples.extent import ripple_extent
-from sasmap.ripples.fit import Fit, NoPlaceError, Task, fit_wave, pulses_at
+from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
 from sasmap.ripples.optimise import (
@@ -33,6 +34,7 @@ from sasmap.ripples.posterior import (
 )
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.published import sample_published
+from sasmap.ripples.rendered import Fit, pulses_at
 from sasmap.ripples.rendering import log_posteriors, named_parameters
 from sasmap.ripples.ridge import along_ridges
 from sasmap.ripples.sampler import mixture_of_peaks, sample
@@ -331,7 +333,8 @@ def _labelled(
     told = float((offset - slope).mean()) if fit.phase.rigid else 0.0
     # of crests looked at square-on every row shows the same pixels: that error does not average out
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
-    tilt = np.hypot(sd[0], float(offset.std()) / np.sqrt(rows))
+    own = fit.tilt if fit.phase.rigid else sd[0]
+    tilt = float(np.sqrt(own**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
     along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
     along, across = along * stretch, across * stretch

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from sasmap.ripples.demodulation import (
     rewaved,
     turned_back,
 )
+from sasmap.ripples.errors import bin_weights, misfit_of, tilt_of, with_errors
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import (
@@ -34,18 +34,13 @@ from sasmap.ripples.optimise import (
 from sasmap.ripples.phase import STRAIGHT, PhaseField, best_field, straight, trial_fields
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
+from sasmap.ripples.rendered import Fit, expected_at, lag_over_range
 from sasmap.ripples.rendering import (
     CREST,
     LAW_KNOTS,
     LINE_OF_SIGHT,
     Geometry,
     Histogram,
-    Parameters,
-    fill_expected,
-    fill_lags,
-    fill_pulses,
-    fill_residuals,
-    parameters_at,
 )
 from sasmap.ripples.settings import RippleSettings, scattering_law
 
@@ -57,28 +52,9 @@ POINT_SPREAD = 0.5
 # Cycles over the clip to which detection tells a wave number, and by which shadow and lean may turn
 # the image's wave from the ripple's (half a radian at either end, docs/science.md).
 FOUND_TO = 0.5
-# Rounds in which the trend is told anew, knowing the pulse, and of Fisher scoring in each.
-TREND_ROUNDS, TREND_CLIMB = 2, 6
-# Errors of the model: least relative error of the expected intensity that the pixels of a group of
-# range and one of so many parts of phase share, with straight crests and where a field is followed;
-# displacement of the pulse that all groups share, in pixels, and in cycles where a field is
-# followed (pipelines/ripples/coherent.py).
-MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
-# Error of the expected intensity over the clip's mean, with straight crests and where a field is
-# followed: side lobes, and light that forks and defects leave in shadow.
-DARK_ERROR = (0.002, 0.01)
-# Least intensity over the clip's mean of which that error is told.
-LEAST_LIGHT = 1e-4
-# Departure of the log of a scattering law from its family at each knot (rough floors have a peak
-# near normal incidence); third harmonic of the profile over A_H; rounds in which errors are told.
-LAW_ERROR, THIRD_HARMONIC, ERROR_ROUNDS = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03, 2
-# Change of log A_H over the range of a clip: standard deviations of its first cosines, and step by
-# which it is told. Of 53 cells of a simulator of others, whose heights change by 1.3 to 10 times or
-# come in groups, 8 were 4 standard deviations and 20 % off without, 1 with 0.07 and with 0.1, where
-# calibration is worse (pipelines/ripples/calibration.py).
-HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
-# Error of the pulse's second harmonic where crests bend.
-FIELD_HARMONIC = 0.03
+# Rounds in which the trend is told anew, knowing the pulse, and of Fisher scoring in each; rounds
+# in which errors are told.
+TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS = 2, 6, 2
 # Least wave number along the look over that across: height is not identifiable below seven times it
 # (detection.MIN_ALONG), so that a choice.
 LEAST_ALONG = 0.01
@@ -86,40 +62,6 @@ LEAST_ALONG = 0.01
 PEAKED_SLOPE = 1.5
 # Expected intensity over the mean below which speckle is not judged.
 DARK = 0.1
-
-
-class Fit(NamedTuple):
-    """A clip by phase and range, and the likeliest parameters.
-
-    Attributes
-    ----------
-    phase : PhaseField
-    trend : ndarray (box rows, box columns)
-    data : Histogram
-    geometry : Geometry
-    peaks : list of Peak
-        The likeliest first.
-    noise_factor : float
-        Variance of the speckle over that of independent pixels.
-    explained : float
-        Log likelihood of the likeliest ripple over that of a flat sea floor, speckle independent.
-    misfit : float
-        Relative error of the expected intensity that the image shows (:func:`misfit_of`).
-    """
-
-    phase: PhaseField
-    trend: FloatArray
-    data: Histogram
-    geometry: Geometry
-    peaks: list[Peak]
-    noise_factor: float = 1.0
-    explained: float = 0.0
-    misfit: float = 0.0
-
-    @property
-    def z(self) -> FloatArray:
-        """Sampling coordinates of the likeliest peak."""
-        return self.peaks[0].z
 
 
 class NoPlaceError(ValueError):
@@ -225,31 +167,6 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     )
 
 
-def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
-    pulses = np.empty(fit.data.pixel_count.shape)
-    lags, levels = np.empty((2, len(pulses)))
-    fill_pulses(parameters_at(z, fit.geometry), fit.data, fit.geometry, pulses, levels)
-    fill_lags(pulses, lags)
-    return pulses, lags, levels
-
-
-def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Ground ranges (m) and how far the image's fundamental is turned there, rad."""
-    return fit.data.ground_range, np.unwrap(pulses_at(fit, fit.z)[1])
-
-
-def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
-    return _expected(fit, parameters_at(z, fit.geometry))
-
-
-def _expected(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray]:
-    means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
-    fill_expected(ripple, fit.data, fit.geometry, means, gains)
-    return means, gains
-
-
 def refined(task: Task, fit: Fit) -> Fit:
     """Take off the trend that the fit leaves, temper it by the speckle, and go on.
 
@@ -281,7 +198,8 @@ def refined(task: Task, fit: Fit) -> Fit:
     another = found[0] is not fit.peaks[0]
     fit = fit._replace(peaks=found)
     fit = reweighted(fit, whole, image.pixel_size) if another else fit
-    return fit._replace(misfit=misfit_of(fit, whole))
+    tilt = tilt_of(fit, whole, image.pixel_size)
+    return fit._replace(misfit=misfit_of(fit, whole), tilt=tilt)
 
 
 def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
@@ -318,152 +236,6 @@ def explained(fit: Fit) -> float:
     flat = total / count
     gain = data.pixel_count * np.log(flat / means)
     return float((gain + data.intensity_sum * (1 / flat - 1 / means)).sum())
-
-
-def with_errors(fit: Fit) -> Histogram:
-    """Add what the model may be wrong by in all bins together to a histogram.
-
-    The scattering law's departure from its family, the crest profile's third harmonic, and heights
-    that change over range; where a field is followed, that a pulse of crests of many wavelengths
-    and directions is not that of their mean. They are integrated out to second order.
-    """
-    data, geometry = fit.data, fit.geometry
-    others = []
-    if not geometry.published:
-        others = [geometry._replace(third_harmonic=v) for v in THIRD_HARMONIC * np.eye(2)]
-    if np.isnan(geometry.fixed[0]):
-        others += [geometry._replace(law_error=v) for v in np.diag(LAW_ERROR)]
-    logs = np.log(expected_at(fit, fit.z)[0])
-    errors = [np.log(expected_at(fit._replace(geometry=g), fit.z)[0]) - logs for g in others]
-    if not geometry.published:
-        errors += _height_trends(fit)
-    if not fit.phase.rigid:
-        bins = logs.shape[1]
-        angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
-        errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
-    if not errors:
-        return data
-    stack = np.array(errors)
-    flat = stack.reshape(len(stack), -1)
-    information = (flat * data.pixel_count.ravel()) @ flat.T
-    return data._replace(errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack))))
-
-
-def _height_trends(fit: Fit) -> list[FloatArray]:
-    """Errors of the log expected intensity where A_H changes over range, (blocks, bins) each."""
-    parameters = parameters_at(fit.z, fit.geometry)
-    logs = []
-    for step in (-HEIGHT_STEP, HEIGHT_STEP):
-        taller = parameters._replace(height=parameters.height * np.exp(step))
-        logs.append(np.log(_expected(fit, taller)[0]))
-    slope = (logs[1] - logs[0]) / (2 * HEIGHT_STEP)
-    place = fit.data.place
-    across = (place - place.min()) / max(float(np.ptp(place)), 1e-9)
-    return [
-        sd * np.cos(np.pi * k * across)[:, None] * slope for k, sd in enumerate(HEIGHT_TREND, 1)
-    ]
-
-
-def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
-    """Sum values (blocks, bins) over groups of range and parts of phase, (groups, parts)."""
-    groups, bins = int(data.group.max()) + 1, values.shape[1]
-    cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
-    summed = np.bincount(cell.ravel(), values.ravel(), groups * ERROR_CELLS)
-    return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
-
-
-def with_fitted_errors(fit: Fit) -> FloatArray:
-    """Return expected intensity (blocks, bins) with the errors that the image tells."""
-    means = expected_at(fit, fit.z)[0]
-    errors = fit.data.errors.reshape(-1, means.size)
-    if not len(errors):
-        return means
-    residuals = np.empty(means.shape)
-    fill_residuals(means, fit.data, residuals)
-    told = fit.data.error_gain @ (errors @ residuals.ravel())
-    return np.asarray(means * np.exp((told @ errors).reshape(means.shape)))
-
-
-def misfit_of(fit: Fit, whole: Histogram) -> float:
-    """Relative error of the expected intensity beyond speckle, root mean square over what is lit.
-
-    Of groups of range and parts of phase, and beyond the errors of law and profile that the
-    likelihood allows for. What is dark weighs less, by the square of its intensity: side lobes are
-    light there.
-
-    Parameters
-    ----------
-    fit : Fit
-    whole : Histogram
-        Of whole pixels.
-
-    Returns
-    -------
-    float
-    """
-    means = with_fitted_errors(fit)
-    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means
-    pixels, seen, expected = (in_cells(whole, v) for v in sums)
-    count = np.maximum(pixels, 1.0)
-    bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
-    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
-    return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))
-
-
-def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
-    """Tell what a pixel of each bin is worth (blocks, bins): less where the model may err.
-
-    A relative error of the expected intensity is shared by the pixels of a cell, a group of range
-    and a part of phase. Another, and a displacement of the pulse, are shared by all that show a
-    part of phase. Integrated out, an error of standard deviation s that n pixels share leaves them
-    the weight 1 / (F + n s^2). The relative errors are what the clip's own misfit shows, the first
-    no less than MODEL_ERROR.
-
-    Parameters
-    ----------
-    fit : Fit
-        With a histogram of whole pixels.
-    noise_factor : float
-        F, variance of the speckle over that of independent pixels.
-    pixel_size : float
-        m.
-
-    Returns
-    -------
-    ndarray (blocks, bins)
-    """
-    data = fit.data
-    means = expected_at(fit, fit.z)[0]
-    bins = means.shape[1]
-    logs = np.log(means)
-    slope = 0.5 * bins * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1))
-    which = 0 if fit.phase.rigid else 1
-    least = (MODEL_ERROR, FIELD_ERROR)[which] ** 2
-    turn = (0.0, FIELD_SHIFT)[which]
-    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
-    groups = int(data.group.max()) + 1
-    part = np.arange(bins) * ERROR_CELLS // bins
-    total = partial(in_cells, data)
-    pixels = total(data.pixel_count)
-    count = np.maximum(pixels, 1.0)
-    displacement = (shift * slope) ** 2
-    displaced = total(data.pixel_count * displacement) / count
-    brighter = np.maximum(total(data.intensity_sum), total(data.pixel_count * means)) / count
-    dark = (DARK_ERROR[which] / np.maximum(brighter, LEAST_LIGHT)) ** 2
-    misfit = total(data.intensity_sum / means) / count - 1
-    # what misfit the bright cells show
-    weight = pixels * least / (least + dark)
-    both = np.average(misfit**2 - noise_factor / count - displaced, weights=weight)
-    whole = np.maximum(weight.sum(axis=0), 1e-9)
-    shared = (weight * misfit).sum(axis=0) / whole
-    speckle = noise_factor * (weight**2 / count).sum(axis=0) / whole**2
-    displaced = (weight * displaced).sum(axis=0) / whole
-    common = np.average(shared**2 - speckle - displaced, weights=whole)
-    common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
-    error = max(both - common, least)
-    known = (count * (error + dark))[data.group][:, part]
-    known = known + pixels.sum(axis=0)[part] * (common + displacement)
-    return np.asarray(1 / (noise_factor + known))
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:

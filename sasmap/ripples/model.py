@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.fit import Fit, expected_at
 from sasmap.ripples.image import BoolArray, Image
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
+from sasmap.ripples.rendered import Fit, expected_at
 
 FloatArray = NDArray[np.float64]
 

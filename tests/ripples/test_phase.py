@@ -7,11 +7,12 @@ import pytest
 
 from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.demodulation import demodulate, refined_wave, rewaved, turned_back
-from sasmap.ripples.fit import fitted, lag_over_range, refined
+from sasmap.ripples.fit import fitted, refined
 from sasmap.ripples.optimise import search
 from sasmap.ripples.phase import STRAIGHT, best_field, trial_fields
 from sasmap.ripples.pixels import spread_boxes
 from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.rendered import lag_over_range
 from sasmap.ripples.rendering import parameters_at
 from sasmap.simulate import Scene
 from sasmap.simulate.seafloor import SeaFloor

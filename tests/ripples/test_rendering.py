@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
-from sasmap.ripples.fit import MODEL_SHIFT
+from sasmap.ripples.errors import MODEL_SHIFT
 from sasmap.ripples.rendering import (
     BOUND,
     CREST,

@@ -1,13 +1,15 @@
-"""What a pixel is worth where the model errs."""
+"""What a pixel is worth, and f can be told to, where the model errs."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sasmap.ripples import fit
-from sasmap.ripples.fit import Fit, bin_weights, expected_at, misfit_of, with_errors
-from sasmap.ripples.optimise import fisher_scoring, search
+from sasmap.ripples import errors
+from sasmap.ripples.errors import bin_weights, misfit_of, tilt_of, turned_by_errors, with_errors
+from sasmap.ripples.optimise import fisher_scoring, line_of_lags, search
+from sasmap.ripples.rendered import Fit, expected_at, pulses_of
+from sasmap.ripples.rendering import parameters_at
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
 
 BINS, PIXEL = 48, 0.03
@@ -121,6 +123,50 @@ def test_what_heights_that_change_over_range_explain_is_no_misfit():
     assert told < 0.35 * before
     # a law alone, or a profile, does not explain it
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit, "HEIGHT_TREND", ())
+        patch.setattr(errors, "HEIGHT_TREND", ())
         alone = misfit_of(wrong._replace(data=with_errors(wrong)), wrong.data)
     assert told < 0.6 * alone
+
+
+def test_tilt_is_the_scatter_of_the_wave_number_under_errors_of_each_range():
+    rng = np.random.default_rng(6)
+    plain = fit_of(8, np.ones((8, BINS)), height=0.05)
+    data, pixels = plain.data, plain.data.pixel_count
+    told = []
+    for _ in range(60):
+        cells = 1 + errors.MODEL_ERROR * rng.standard_normal((8, errors.ERROR_CELLS))
+        cells = np.repeat(cells, BINS // errors.ERROR_CELLS, axis=1)[data.group]
+        seen = data.intensity_sum * cells * rng.gamma(pixels, 1 / pixels)
+        other = data._replace(intensity_sum=seen)
+        told.append(fisher_scoring(plain.z, other, plain.geometry, free=np.array([0, 1])).z[0])
+    assert 0.85 < tilt_of(plain, data, 1e-6) / np.std(told) < 1.5
+
+
+def test_more_range_tells_the_wave_number_better():
+    few, many = (fit_of(n, np.ones((n, BINS)), height=0.05) for n in (4, 12))
+    assert tilt_of(many, many.data, PIXEL) < 0.3 * tilt_of(few, few.data, PIXEL)
+
+
+def test_heights_that_change_over_range_may_turn_the_phase_by_as_much():
+    steep = fit_of(6, np.ones((6, BINS)), height=0.12, noise=1e-3)
+    bent = steep._replace(data=with_errors(steep), phase=SimpleNamespace(rigid=False))
+    place = steep.data.place
+    across = (place - place.min()) / np.ptp(place)
+    truth = parameters_at(steep.z, steep.geometry)
+    turned = []
+    for k, sd in enumerate(errors.HEIGHT_TREND, 1):
+        lags = [
+            pulses_of(steep, truth._replace(height=truth.height * np.exp(change)))[1][b]
+            for b, change in enumerate(sd * np.cos(np.pi * k * across))
+        ]
+        away = np.array(lags) - pulses_of(steep, truth)[1]
+        turned.append(line_of_lags(away, steep.data)[0] / (2 * np.pi))
+    assert turned_by_errors(bent) > 0.95 * np.hypot.reduce(turned)
+    # of straight crests the image tells a part of that
+    straight = steep._replace(data=bent.data)
+    assert 0 < turned_by_errors(straight) < turned_by_errors(bent)
+
+
+def test_without_errors_nothing_turns():
+    plain = fit_of(4, np.ones((4, BINS)))
+    assert turned_by_errors(plain) == 0.0

@@ -1,0 +1,265 @@
+"""What the model of a clip may be wrong by: errors of its likelihood, and of f beside it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.optimise import line_of_lags
+from sasmap.ripples.rendered import Fit, expected_at, expected_of, pulses_at, pulses_of
+from sasmap.ripples.rendering import Geometry, Histogram, Parameters, fill_residuals, parameters_at
+
+FloatArray = NDArray[np.float64]
+
+# Errors of the model: least relative error of the expected intensity that the pixels of a group of
+# range and one of so many parts of phase share, with straight crests and where a field is followed;
+# displacement of the pulse that all groups share, in pixels, and in cycles where a field is
+# followed (pipelines/ripples/coherent.py).
+MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
+# Error of the expected intensity over the clip's mean, with straight crests and where a field is
+# followed: side lobes, and light that forks and defects leave in shadow.
+DARK_ERROR = (0.002, 0.01)
+# Least intensity over the clip's mean of which that error is told.
+LEAST_LIGHT = 1e-4
+# Departure of the log of a scattering law from its family at each knot (rough floors have a peak
+# near normal incidence); third harmonic of the profile over A_H.
+LAW_ERROR, THIRD_HARMONIC = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03
+# Change of log A_H over the range of a clip: standard deviations of its first cosines, and step by
+# which it is told. Of 53 cells of a simulator of others, whose heights change by 1.3 to 10 times or
+# come in groups, 8 were 4 standard deviations and 20 % off without, 1 with 0.07 and with 0.1, where
+# calibration is worse (pipelines/ripples/calibration.py).
+HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
+# Error of the pulse's second harmonic where crests bend.
+FIELD_HARMONIC = 0.03
+
+
+def with_errors(fit: Fit) -> Histogram:
+    """Add what the model may be wrong by in all bins together to a histogram.
+
+    The scattering law's departure from its family, the crest profile's third harmonic, and heights
+    that change over range; where a field is followed, that a pulse of crests of many wavelengths
+    and directions is not that of their mean. They are integrated out to second order.
+    """
+    data = fit.data
+    logs = np.log(expected_at(fit, fit.z)[0])
+    wrong = [fit._replace(geometry=g) for g in _geometries(fit.geometry)]
+    errors = [np.log(expected_at(other, other.z)[0]) - logs for other in wrong]
+    if not fit.geometry.published:
+        errors += _height_trends(fit)
+    if not fit.phase.rigid:
+        bins = logs.shape[1]
+        angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
+        errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
+    if not errors:
+        return data
+    stack = np.array(errors)
+    flat = stack.reshape(len(stack), -1)
+    information = (flat * data.pixel_count.ravel()) @ flat.T
+    return data._replace(errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack))))
+
+
+def _geometries(geometry: Geometry) -> list[Geometry]:
+    """Geometries whose crest profile or scattering law is wrong by a standard deviation."""
+    others = []
+    if not geometry.published:
+        others = [geometry._replace(third_harmonic=v) for v in THIRD_HARMONIC * np.eye(2)]
+    if np.isnan(geometry.fixed[0]):
+        others += [geometry._replace(law_error=v) for v in np.diag(LAW_ERROR)]
+    return others
+
+
+def _height_trends(fit: Fit) -> list[FloatArray]:
+    """Errors of the log expected intensity where A_H changes over range, (blocks, bins) each."""
+    lower, higher = (np.log(expected_of(fit, ripple)[0]) for ripple in _lower_and_higher(fit))
+    slope = (higher - lower) / (2 * HEIGHT_STEP)
+    return [change[:, None] * slope for change in _changes(fit.data)]
+
+
+def _lower_and_higher(fit: Fit) -> list[Parameters]:
+    """Parameters at a fit's peak with A_H a step lower and higher."""
+    ripple = parameters_at(fit.z, fit.geometry)
+    steps = np.exp([-HEIGHT_STEP, HEIGHT_STEP])
+    return [ripple._replace(height=float(ripple.height * step)) for step in steps]
+
+
+def _changes(data: Histogram) -> list[FloatArray]:
+    """Return changes of log A_H over range, of a standard deviation each, (blocks,)."""
+    across = (data.place - data.place.min()) / max(float(np.ptp(data.place)), 1e-9)
+    return [sd * np.cos(np.pi * k * across) for k, sd in enumerate(HEIGHT_TREND, 1)]
+
+
+def turned_by_errors(fit: Fit) -> float:
+    """Tell the standard deviation of the slope of lags over range by what the model may miss.
+
+    Law, profile and heights that change over range turn the image's phase as well: with straight
+    crests by what the image leaves open, where a field is followed by all that they may.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of :func:`with_errors`.
+
+    Returns
+    -------
+    float
+        Cycles/m.
+    """
+    data = fit.data
+    if not len(data.errors):
+        return 0.0
+    others = (pulses_at(fit._replace(geometry=g), fit.z)[1] for g in _geometries(fit.geometry))
+    lags = pulses_at(fit, fit.z)[1]
+    turned = [_turn(lags, other) for other in others]
+    if not fit.geometry.published:
+        lower, higher = (pulses_of(fit, ripple)[1] for ripple in _lower_and_higher(fit))
+        slope = _turn(lower, higher) / (2 * HEIGHT_STEP)
+        turned += [change * slope for change in _changes(data)]
+    slopes = np.array([line_of_lags(turn, data)[0] for turn in turned])
+    left = data.error_gain[: slopes.size, : slopes.size] if fit.phase.rigid else np.eye(slopes.size)
+    return float(np.sqrt(slopes @ left @ slopes)) / (2 * np.pi)
+
+
+def _turn(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Angles from the first to the second, at most half a turn, rad."""
+    return np.asarray(np.angle(np.exp(1j * (second - first))))
+
+
+def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
+    """Sum values (blocks, bins) over groups of range and parts of phase, (groups, parts)."""
+    groups, bins = int(data.group.max()) + 1, values.shape[1]
+    cell = data.group[:, None] * ERROR_CELLS + np.arange(bins) * ERROR_CELLS // bins
+    summed = np.bincount(cell.ravel(), values.ravel(), groups * ERROR_CELLS)
+    return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
+
+
+def with_fitted_errors(fit: Fit) -> FloatArray:
+    """Return expected intensity (blocks, bins) with the errors that the image tells."""
+    means = expected_at(fit, fit.z)[0]
+    errors = fit.data.errors.reshape(-1, means.size)
+    if not len(errors):
+        return means
+    residuals = np.empty(means.shape)
+    fill_residuals(means, fit.data, residuals)
+    told = fit.data.error_gain @ (errors @ residuals.ravel())
+    return np.asarray(means * np.exp((told @ errors).reshape(means.shape)))
+
+
+def misfit_of(fit: Fit, whole: Histogram) -> float:
+    """Relative error of the expected intensity beyond speckle, root mean square over what is lit.
+
+    Of groups of range and parts of phase, and beyond the errors of law and profile that the
+    likelihood allows for. What is dark weighs less, by the square of its intensity: side lobes are
+    light there.
+
+    Parameters
+    ----------
+    fit : Fit
+    whole : Histogram
+        Of whole pixels.
+
+    Returns
+    -------
+    float
+    """
+    means = with_fitted_errors(fit)
+    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means
+    pixels, seen, expected = (in_cells(whole, v) for v in sums)
+    count = np.maximum(pixels, 1.0)
+    bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
+    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
+    return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))
+
+
+def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
+    """Tell what a pixel of each bin is worth (blocks, bins): less where the model may err.
+
+    Integrated out, an error of standard deviation s that n pixels share leaves them the weight
+    1 / (F + n s^2).
+
+    Parameters
+    ----------
+    fit : Fit
+        With a histogram of whole pixels.
+    noise_factor : float
+        F, variance of the speckle over that of independent pixels.
+    pixel_size : float
+        m.
+
+    Returns
+    -------
+    ndarray (blocks, bins)
+    """
+    own, common = _shared(fit, noise_factor, pixel_size)
+    return np.asarray(1 / (noise_factor + own + common))
+
+
+def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
+    """Tell the standard deviation of the slope of straight crests' phase over range.
+
+    By speckle and the errors that each range has of its own: those that all ranges share turn all
+    phases alike.
+
+    Parameters
+    ----------
+    fit : Fit
+    whole : Histogram
+        Of whole pixels.
+    pixel_size : float
+        m.
+
+    Returns
+    -------
+    float
+        Cycles/m.
+    """
+    own, _ = _shared(fit._replace(data=whole), fit.noise_factor, pixel_size)
+    slope = _per_cycle(np.log(expected_at(fit, fit.z)[0]))
+    told = (whole.pixel_count / (fit.noise_factor + own) * slope**2).sum(axis=1)
+    apart = whole.place - np.average(whole.place, weights=told)
+    return float(1 / np.sqrt(max(told @ apart**2, 1e-12)))
+
+
+def _per_cycle(logs: FloatArray) -> FloatArray:
+    """Return the slope of values (blocks, bins) over phase, a cycle."""
+    return np.asarray(0.5 * logs.shape[1] * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1)))
+
+
+def _shared(fit: Fit, noise_factor: float, pixel_size: float) -> tuple[FloatArray, FloatArray]:
+    """Pixels times variance of the errors that they share, (blocks, bins) each.
+
+    The first is a relative error of the expected intensity of the pixels of a cell, a group of
+    range and a part of phase. The second is another, and a displacement of the pulse, of all that
+    show a part of phase. The relative errors are what the clip's own misfit shows, the first no
+    less than MODEL_ERROR.
+    """
+    data = fit.data
+    means = expected_at(fit, fit.z)[0]
+    bins = means.shape[1]
+    which = 0 if fit.phase.rigid else 1
+    least = (MODEL_ERROR, FIELD_ERROR)[which] ** 2
+    turn = (0.0, FIELD_SHIFT)[which]
+    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
+    groups = int(data.group.max()) + 1
+    part = np.arange(bins) * ERROR_CELLS // bins
+    total = partial(in_cells, data)
+    pixels = total(data.pixel_count)
+    count = np.maximum(pixels, 1.0)
+    displacement = (shift * _per_cycle(np.log(means))) ** 2
+    displaced = total(data.pixel_count * displacement) / count
+    brighter = np.maximum(total(data.intensity_sum), total(data.pixel_count * means)) / count
+    dark = (DARK_ERROR[which] / np.maximum(brighter, LEAST_LIGHT)) ** 2
+    misfit = total(data.intensity_sum / means) / count - 1
+    # what misfit the bright cells show
+    weight = pixels * least / (least + dark)
+    both = np.average(misfit**2 - noise_factor / count - displaced, weights=weight)
+    whole = np.maximum(weight.sum(axis=0), 1e-9)
+    shared = (weight * misfit).sum(axis=0) / whole
+    speckle = noise_factor * (weight**2 / count).sum(axis=0) / whole**2
+    displaced = (weight * displaced).sum(axis=0) / whole
+    common = np.average(shared**2 - speckle - displaced, weights=whole)
+    common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
+    error = max(both - common, least)
+    own = (count * (error + dark))[data.group][:, part]
+    return own, pixels.sum(axis=0)[part] * (common + displacement)

@@ -1,0 +1,92 @@
+"""A wave of a clip by phase and range, its likeliest parameters, and what these render."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.optimise import Peak
+from sasmap.ripples.phase import PhaseField
+from sasmap.ripples.rendering import (
+    Geometry,
+    Histogram,
+    Parameters,
+    fill_expected,
+    fill_lags,
+    fill_pulses,
+    parameters_at,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+class Fit(NamedTuple):
+    """A clip by phase and range, and the likeliest parameters.
+
+    Attributes
+    ----------
+    phase : PhaseField
+    trend : ndarray (box rows, box columns)
+    data : Histogram
+    geometry : Geometry
+    peaks : list of Peak
+        The likeliest first.
+    noise_factor : float
+        Variance of the speckle over that of independent pixels.
+    explained : float
+        Log likelihood of the likeliest ripple over that of a flat sea floor, speckle independent.
+    misfit : float
+        Relative error of the expected intensity that the image shows
+        (:func:`sasmap.ripples.errors.misfit_of`).
+    tilt : float
+        Standard deviation of the slope of straight crests' phase over range, cycles/m
+        (:func:`sasmap.ripples.errors.tilt_of`).
+    """
+
+    phase: PhaseField
+    trend: FloatArray
+    data: Histogram
+    geometry: Geometry
+    peaks: list[Peak]
+    noise_factor: float = 1.0
+    explained: float = 0.0
+    misfit: float = 0.0
+    tilt: float = 0.0
+
+    @property
+    def z(self) -> FloatArray:
+        """Sampling coordinates of the likeliest peak."""
+        return self.peaks[0].z
+
+
+def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
+    return pulses_of(fit, parameters_at(z, fit.geometry))
+
+
+def pulses_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pulses, lags and levels of given parameters, as :func:`pulses_at`."""
+    pulses = np.empty(fit.data.pixel_count.shape)
+    lags, levels = np.empty((2, len(pulses)))
+    fill_pulses(ripple, fit.data, fit.geometry, pulses, levels)
+    fill_lags(pulses, lags)
+    return pulses, lags, levels
+
+
+def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Ground ranges (m) and how far the image's fundamental is turned there, rad."""
+    return fit.data.ground_range, np.unwrap(pulses_at(fit, fit.z)[1])
+
+
+def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
+    return expected_of(fit, parameters_at(z, fit.geometry))
+
+
+def expected_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray]:
+    """Return what :func:`expected_at` does of given parameters."""
+    means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
+    fill_expected(ripple, fit.data, fit.geometry, means, gains)
+    return means, gains
