@@ -9,7 +9,7 @@ divided out, so that looks with a common cell or law are multiplied by adding.
 A look informs the law in two ways. Where geometry (shadow) determines A_H, contrast gives the slope
 of the law. Elsewhere only the shape of the echo over a wavelength, its harmonics, depends on the
 law: on its curvature, which the family ties to n and c. A law outside the family biases all those
-looks alike; this bias is one of the survey's shared parameters.
+looks the same way; this bias is one of the survey's shared parameters.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ FloatArray = NDArray[np.float64]
 
 # Facets per bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
 FACETS = 3
-# Where no shadow falls, one block of range in so many is rendered and the others are interpolated.
+# Stride of the blocks of range that are rendered where no shadow falls; others are interpolated.
 RENDERED = 3
 # Fast-math flags: sums may be taken in any order, so that they can be vectorised.
 FAST = {"reassoc", "contract", "nsz", "arcp"}

@@ -385,7 +385,7 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
     Parameters
     ----------
     flat : ndarray (rows, columns)
-        Amplitude over its trend, less 1; 0 where not valid.
+        Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
 
     Returns
