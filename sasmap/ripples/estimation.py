@@ -92,7 +92,7 @@ def estimate(
     ----------
     clip : Clip or DataArray (y, x)
         Linear amplitudes with ``x``, ``y``, ``ground_range``, ``altitude`` (m) and
-        ``look_azimuth`` (degrees) coordinates, as :func:`sasmap.open_pass` gives them.
+        ``look_azimuth`` (degrees) coordinates, as :func:`sasmap.open_pass` returns them.
     settings : RippleSettings, optional
         The survey's ``ripples`` block.
     rng : Generator or int, optional
@@ -117,7 +117,7 @@ def estimate(
     The default method finds the ripple's wave in the clip's spectrum, follows its phase where
     crests bend, sums the pixels by phase and range and samples the speckle likelihood of a rendered
     wavelength (:mod:`sasmap.ripples.rendering`), its scattering law included; "zare-cobb" is the
-    published sampler (Zare and Cobb 2013), which takes crests as straight and looked at square-on.
+    published sampler (Zare and Cobb 2013), which assumes straight crests seen square-on.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def _candidates(waves: list[Wave]) -> list[Wave]:
 
 
 def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
-    """Return the likeliest wave of another system than the first, if there is one.
+    """Return the likeliest wave of a second system, if there is one.
 
     Parameters
     ----------
@@ -346,7 +346,7 @@ def _labelled(
         cycles = cycles + lag
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     turns = np.floor(azimuth.mean() / 180.0)
-    # the same crests, counted along the opposite direction
+    # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     error = np.hypot(_height_error(fit), crossing)
     most = (UNKNOWN * fit.geometry.steepness_sd) ** 2 - float(np.log(named["height"]).var())

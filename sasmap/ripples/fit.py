@@ -56,8 +56,8 @@ FOUND_TO = 0.5
 # Rounds in which the trend is estimated again with the pulse known, and of Fisher scoring in each;
 # rounds in which the model's errors are estimated.
 TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS = 2, 6, 2
-# Least wave number along the look over that across; a choice without effect on results, as height
-# is not identifiable below seven times it (detection.MIN_ALONG).
+# Least wave number along the look over that across (a choice: height is not identifiable below
+# seven times it, detection.MIN_ALONG).
 LEAST_ALONG = 0.01
 # Steepest slope of a peaked profile over that of a sine of the same height.
 PEAKED_SLOPE = 1.5

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
 HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR = 2, 3, 6, 8, 9
-# Heights of the scan: least slope, the largest being the steepest stable slope of sand; their
+# Heights of the scan: least slope (the largest is close to the steepest that sand holds), and their
 # number.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
 # Laws and asymmetries of the scan, in sampling coordinates.

@@ -448,7 +448,7 @@ def fill_echoes(  # type: ignore[no-untyped-def]
         power[i] = min(max(grazing, 0.0), 1.0) * (NODES - 1)
         # imaged at range r' = sqrt(r^2 + (A - h)^2 - A^2), to second order
         place[i] = (i + 0.5) / n - h * (tangent - h * bend) * wave
-    # with shadow: part of a facet may be lit though its middle is turned away
+    # with shadow `lit` is known: part of a facet may be lit though its middle is turned away
     if crest < 0:
         for i in range(n):
             lit[i] = 1.0 if power[i] > 0.0 else 0.0
