@@ -206,7 +206,7 @@ class Geometry(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def contrast_per_slope(exponent, concentration, tangent):  # type: ignore[no-untyped-def]
-    """Relative change of intensity with slope, to first order, by the law and by crests' lean."""
+    """Relative change of intensity with slope at a grazing angle, to first order: law plus lean."""
     grazing = np.arctan(tangent)
     law = exponent / tangent - 2.0 * concentration * (grazing - 0.5 * np.pi)
     return law + tangent
@@ -346,7 +346,7 @@ def fill_lit(elevation, part_of_range, crest, lit):  # type: ignore[no-untyped-d
 def fill_crest_rule(  # type: ignore[no-untyped-def]
     height, unit, wave, ground_range, altitude, lit
 ):
-    """Fill the lit share of each facet by the published rule (ZC 4): a ray over the last crest."""
+    """Fill each facet's lit share by the published rule (ZC 4): a ray over the preceding crest."""
     n = lit.size
     before = 0.0
     for k in range(n + 1):  # from crest to crest
