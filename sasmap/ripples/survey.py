@@ -205,7 +205,7 @@ class _Layout:
     passes : bool
         Whether any cell has two looks.
     cells : ndarray (1 + sediments,)
-        Number of looks at cells without a sediment of their own law, then at those of each.
+        Number of looks at cells whose sediment has no law of its own, then for each that has one.
     """
 
     def __init__(
