@@ -17,7 +17,7 @@ class Mixture(NamedTuple):
     Attributes
     ----------
     weight : ndarray (n,)
-        Sum 1.
+        Weights that sum to 1.
     mean : ndarray (n, size)
     covariance : ndarray (n, size, size)
     """

@@ -13,10 +13,10 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 FloatArray = NDArray[np.float64]
 
-# Bounds of the factor: two looks averaged give 0.5; no recorded texture came near the upper one.
+# Bounds of the noise factor: two looks averaged give 0.5; no recorded texture came near the upper.
 NOISE_BOUNDS = (0.5, 50.0)
-# Cosine of the angle to the ripple's wave vector beyond which the residual is speckle alone (37
-# degrees: beyond the spread of crests that wander).
+# Cosine of the angle to the ripple's wave vector below which the residual is speckle alone (37
+# degrees: outside the spread of crests that wander).
 BESIDE = 0.8
 
 
@@ -31,7 +31,7 @@ def effective_samples(amplitude: ArrayLike) -> float:
     Returns
     -------
     float
-        Pixels over the sum of the intensity's autocorrelation, as far as it is significant.
+        Number of pixels over the sum of the intensity's autocorrelation where it is significant.
     """
     image = np.asarray(amplitude, float)
     known = np.isfinite(image)

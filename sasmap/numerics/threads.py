@@ -1,4 +1,4 @@
-"""Ordered parallel map over threads, or over whatever else spreads the work."""
+"""Ordered parallel map over threads or another executor."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-# Threads (None for one per core), or a function that spreads work elsewhere and yields in order.
+# Number of threads (None for one per core), or a function that runs the work elsewhere and yields
+# results in order.
 Workers = int | None | Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 
 def mapped(function: Callable[[T], R], items: Iterable[T], workers: Workers) -> Iterator[R]:
-    """Yield a function's result for each item, in order; an interrupt or a fault ends all threads.
+    """Yield a function's result for each item, in order; an interrupt or error ends all threads.
 
     Parameters
     ----------
     function : callable
     items : iterable
     workers : int, None or callable
-        Threads; None for one per core. A callable is called with the function and the items.
+        Number of threads; None for one per core. A callable gets the function and the items.
 
     Yields
     ------

@@ -18,9 +18,10 @@ FloatArray = NDArray[np.float64]
 # Squared Mahalanobis distance (chi-squared with 3 degrees of freedom) beyond which two looks
 # contradict each other: exceeded by one consistent pair in two thousand.
 LIMIT = 17.7
-# The same, for A_H alone (1 degree of freedom) of a look and of all others of its group together.
+# The same for A_H alone (1 degree of freedom), of a look against all others of its group combined.
 HEIGHT_LIMIT = 12.1
-# Most looks of which every group is tried; of more, one at a time is dropped (bounds the time).
+# Most looks of which every subset is tried; with more, looks are dropped one at a time first
+# (bounds the time).
 MOST_TRIED = 10
 # Least weight of the components that are compared between looks (a choice).
 SLIGHT = 0.02
@@ -31,8 +32,8 @@ def distances_of(
 ) -> tuple[list[dict[tuple[int, int], float]], list[dict[int, float]]]:
     """Squared distance of each pair of looks at a cell, and log volume of each look's covariance.
 
-    An error of the law moves both looks at a cell alike, so the difference has only the remaining
-    error. The distance is that of the nearest components.
+    An error of the law moves both looks at a cell the same way, so that the difference has only the
+    remaining error. The distance is that of the nearest components.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def distances_of(
     Returns
     -------
     distances : list of dict of (swath, swath) to float
-        Of each cell.
+        One dict per cell.
     volumes : list of dict of swath to float
     """
     middle = survey.middle
@@ -122,9 +123,9 @@ def together(
     steepness: tuple[float, float],
     groups: list[tuple[int, ...]],
 ) -> list[tuple[int, ...]]:
-    """Drop looks whose A_H differs from that of all others of their group together.
+    """Drop looks whose A_H differs from that of all others of their group combined.
 
-    Several looks that determine A_H poorly, each by itself, do so better together.
+    Several looks that each determine A_H poorly determine it better when combined.
 
     Parameters
     ----------
@@ -133,12 +134,12 @@ def together(
     steepness : tuple of float
         As for :func:`distances_of`.
     groups : list of tuple of int
-        Swaths that agree pair by pair, of each cell.
+        For each cell, swaths that agree pair by pair.
 
     Returns
     -------
     list of tuple of int
-        Groups of less than three looks are left as they are.
+        Groups of fewer than three looks are left as they are.
     """
     groups = list(groups)
     rows = np.array(
@@ -173,7 +174,7 @@ def together(
         lost = (square == worst[some.cell]) & (square > HEIGHT_LIMIT)
         for i, k in zip(some.cell[lost], some.swath[lost], strict=True):
             groups[i] = tuple(g for g in groups[i] if g != k)
-        # only cells that lost a look, and still have three, are looked at again
+        # only cells that lost a look, and still have three, are tested again
         again = np.isin(some.cell, some.cell[lost]) & ~lost
         again &= np.array([len(groups[i]) > 2 for i in some.cell])
         rows, some = rows[again], some.some(np.flatnonzero(again))
@@ -182,7 +183,7 @@ def together(
 
 
 def _matched(factor: Information, prior: Information) -> Information:
-    """Replace mixtures by one component each, with the moments that they have under a prior."""
+    """Replace each mixture by one component with the moments that the mixture has under a prior."""
     level, mean, covariance = moments(with_prior(factor, prior))
     weight = np.exp(level - level.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
@@ -214,7 +215,7 @@ def given_law(
     slope : ndarray (..., K, 3, 2)
     covariance : ndarray (..., K, 3, 3)
     precision : ndarray (..., K, 2, 2)
-        Of the law, the rest integrated out.
+        Precision of the law, with the rest integrated out.
     linear : ndarray (..., K, 2)
     """
     precision, linear = factor.precision, factor.linear
@@ -228,13 +229,13 @@ def given_law(
 
 
 def agreeing(distances: dict[tuple[int, int], float], volumes: dict[int, float]) -> tuple[int, ...]:
-    """Return the largest group of mutually agreeing looks; of equals the most precise one.
+    """Return the largest group of mutually agreeing looks; among equals the most precise one.
 
     Parameters
     ----------
     distances : dict of (swath, swath) to float
     volumes : dict of swath to float
-        As of :func:`distances_of`, of one cell.
+        As from :func:`distances_of`, for one cell.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Estimate of a cell, and its statistics from a mixture over log f, log A_H and azimuth."""
+"""Estimate of a cell: statistics of a mixture over log f, log A_H and azimuth."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class CellEstimate:
 
 
 UNKNOWN = CellEstimate()
-# The flat prior of a first look.
+# Flat prior of a cell's first look.
 FLAT = CellEstimate(sd=(float("inf"),) * 2, azimuth=(NAN, float("inf")))
 
 
@@ -62,7 +62,7 @@ def estimates(
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         bounds = np.log([settings.frequency, settings.height])
-    # f is far better known than A_H, whose bounds are those of the steepness at the cell's f
+    # f is far better known than A_H, so the bounds of A_H at the cell's f bound the steepness
     steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds[1][:, None]
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
     logs = [
@@ -99,6 +99,6 @@ def _derived(found: list[Marginal], i: int) -> Derived:
 
 
 def of_summary(summary: Summary) -> CellEstimate:
-    """Return the estimate from a look alone."""
+    """Return the estimate from a single look."""
     s = summary
     return CellEstimate(s.mean, s.sd, s.q05, s.q95, s.azimuth, s.derived)

@@ -10,29 +10,29 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# Intensity added to every pixel, over the clip's mean: no sonar's image spans more than 30 dB below
-# its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as proof of
-# a noise floor of nothing.
+# Intensity added to every pixel, over the clip's mean: no sonar image extends to more than 30 dB
+# below its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as
+# proof of a noise floor of zero.
 DYNAMIC_RANGE = 3e-3
-# Largest intensity over the mean from which pixels are looked at one by one, and amplitude over the
-# median of those above zero that none may have.
+# Largest intensity over the mean above which amplitudes are capped, and the cap over the median of
+# amplitudes above zero.
 GLARING, OUTLIER = 300.0, 30.0
 
 
-# How well an altimeter or a bottom track knows the altitude, m.
+# Accuracy of the altitude from an altimeter or a bottom track (standard deviation), m.
 ALTITUDE_SD = 0.02
 
 
 @dataclass(frozen=True)
 class Clip:
-    """What one look shows of a patch of sea floor; all arrays (rows, columns).
+    """Image of a patch of sea floor from one look; all arrays (rows, columns).
 
     Attributes
     ----------
     amplitude : ndarray
         Linear amplitude, NaN where there is none.
     x, y : ndarray
-        Map position of the sea floor that the pixel shows, m.
+        Map position of the sea floor in the pixel, m.
     ground_range, altitude : ndarray
         m.
     look_azimuth : ndarray
@@ -40,7 +40,7 @@ class Clip:
     pixel_size : float
         m.
     altitude_sd : float
-        How well the altitude is known, m.
+        Accuracy of the altitude, m.
     """
 
     amplitude: FloatArray
@@ -60,7 +60,7 @@ class Clip:
 
     @classmethod
     def from_array(cls, array: xr.DataArray) -> Clip:
-        """Take a clip out of an array as :func:`sasmap.open_pass` gives it.
+        """Make a clip from an array as :func:`sasmap.open_pass` returns it.
 
         Parameters
         ----------
@@ -120,8 +120,8 @@ def mean_look(clip: Clip) -> float:
 def normalised(clip: Clip, valid: NDArray[np.bool_]) -> tuple[FloatArray, float]:
     """Intensity of the valid pixels over its mean, and the root of that mean.
 
-    By way of the largest amplitude, whose square may not exist. Pixels beyond all that speckle can
-    do (defects) are brought down, lest they be the mean.
+    Amplitudes are first divided by the largest one, whose square may overflow. Pixels brighter than
+    speckle can be (defects) are capped, as they would dominate the mean.
     """
     amplitude = clip.amplitude[valid]
     largest = float(amplitude.max())

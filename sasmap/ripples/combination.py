@@ -1,8 +1,8 @@
-"""Products of the looks at each cell, averaged over the posterior of what the survey shares.
+"""Products of the looks at each cell, averaged over the posterior of the shared parameters.
 
 For every draw of the shared parameters and each population of laws, looks are expressed in A_H,
-widened by their scatter and multiplied. The loops over cells, draws and components are compiled,
-and go through one cell after the other: a cell's result does not depend on the others.
+widened by their scatter and multiplied. The compiled loops go through one cell after the other, so
+that a cell's result does not depend on the others.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sasmap.ripples.survey import SurveyModel
 
 FloatArray = NDArray[np.float64]
 
-# Least weight of the components of a cell's estimate: less changes no digit of the products.
+# Least weight of the components of a cell's estimate: smaller ones change no digit of the products.
 NEGLIGIBLE = 1e-4
 
 
@@ -42,14 +42,15 @@ class _Draws(NamedTuple):
     Attributes
     ----------
     weight : ndarray (V, P, sediments)
+        Share of the population in each sediment.
     law, gain, shift : ndarray (V, P, 2)
         Mean of the law, its precision, and its bias from the echo shape.
     scatter : ndarray (V, P, D)
         Variance of looks about their cell.
     offset : ndarray (V, swaths)
-        Of altitude, m.
+        Altitude offset, m.
     level, linear, precision : ndarray (V, P), (V, P, D), (V, P, D, D)
-        Prior of a cell: of its law and steepness.
+        Prior of a cell's law and steepness.
     """
 
     weight: FloatArray
@@ -66,12 +67,12 @@ class _Draws(NamedTuple):
 def after_each(
     looks: Looks, survey: SurveyModel, steepness: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Combine each look with those of the same cell before it.
+    """Combine each look with the earlier ones of the same cell.
 
     Parameters
     ----------
     looks : Looks
-        N looks in order of their cells, those at each cell in the order in which they count.
+        N looks sorted by cell, those at each cell in the order in which they are combined.
     survey : SurveyModel
     steepness : tuple of float
         Prior of crest to trough over wavelength: median and log standard deviation.
@@ -79,7 +80,7 @@ def after_each(
     Returns
     -------
     weight : ndarray (N, K)
-        Of the components of the estimate after each look; 0 where there are fewer.
+        Weights of the components of the estimate after each look; 0 where there are fewer.
     mean, covariance : ndarray (N, K, 3), (N, K, 3, 3)
         Of log f, log A_H and azimuth.
     """
@@ -99,7 +100,7 @@ def after_each(
 
 
 def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float]) -> _Draws:
-    """Collect the draws of what a survey shares."""
+    """Collect the draws of a survey's shared parameters as arrays."""
     every = [[p.shared for p in draw] for draw in survey.draws]
 
     def array(values: list[list[FloatArray]]) -> FloatArray:
@@ -128,7 +129,7 @@ def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float])
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _combine(ends, places, told, draws, most, weight, mean, covariance):  # type: ignore[no-untyped-def]
-    """Fill in the components after each look; returns how many there are (N,)."""
+    """Fill in the components after each look; return their number (N,)."""
     swath, sediment, per_metre = places
     size, populations = told.linear.shape[2], draws.weight.shape[1]
     looks, first = 1, 0
@@ -209,9 +210,9 @@ def _products(first, end, swath, per_metre, told, draws, v, most, states):  # ty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _components(number, states, draws, v, shares, weight, mean, covariance, filled):  # type: ignore[no-untyped-def]
-    """Add components of draw v after look `number` of a cell, those with weight.
+    """Add the components of draw v with enough weight after look `number` of a cell.
 
-    A cell's law is of either population, by share and evidence. Returns how many are filled in.
+    Populations are weighted by their share and evidence. Returns the number of components so far.
     """
     counts, heavies, linears, precisions = states
     size = linears.shape[-1]

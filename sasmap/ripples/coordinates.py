@@ -1,8 +1,8 @@
-"""In which coordinates a clip's posterior is sampled: contrast, or height, beside the law.
+"""Coordinates in which a clip's posterior is sampled: contrast or height, with the law.
 
-An image tells contrast where shadow does not tell height. Where it does, contrast follows from
-height and law by a curve, and a mixture of Gaussians is a poor picture of that. Both differ by a
-function of the law alone, so that densities are the same.
+An image constrains contrast unless shadow constrains height. Where it does, contrast depends on
+height and law along a curve, which a mixture of Gaussians approximates poorly. The logs of contrast
+and height differ by a function of the law alone, so that densities are the same in both.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from sasmap.ripples.rendering import CONCENTRATION, EXPONENT, Geometry
 
 FloatArray = NDArray[np.float64]
 
-# Least contrast per slope, and step of its derivatives by the law's coordinates.
+# Least contrast per slope, and step of its derivatives with respect to the law's coordinates.
 LEAST, STEP = 1e-9, 1e-4
 
 
 class Coordinates:
-    """Sampling coordinates of some peaks.
+    """Sampling coordinates for a set of peaks: log contrast or log A_H, whichever varies less.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ class Coordinates:
         self.peaks = turned if self.by_height else peaks
 
     def to_sampling(self, z: FloatArray) -> FloatArray:
-        """Return points (..., COORDINATES) whose third coordinate is log A_H where that is told."""
+        """Return points (..., COORDINATES), their third coordinate log A_H if `by_height`."""
         points = z.copy()
         if self.by_height:
             points[..., HEIGHT] -= self._per_slope(z)
         return points
 
     def from_sampling(self, points: FloatArray) -> FloatArray:
-        """Return the model's coordinates (..., COORDINATES), the third the log of contrast."""
+        """Return the model's coordinates (..., COORDINATES), of which the third is log contrast."""
         z = points.copy()
         if self.by_height:
             z[..., HEIGHT] += self._per_slope(points)
@@ -64,7 +64,7 @@ class Coordinates:
         return np.asarray(np.log(np.maximum(each, LEAST)))
 
     def _turned(self, peak: Peak, free: NDArray[np.int64]) -> Peak:
-        """Tell a peak by height."""
+        """Transform a peak from log contrast to log A_H."""
         turn = np.eye(free.size)
         at = int(np.flatnonzero(free == HEIGHT)[0])
         here = self._per_slope(peak.z)

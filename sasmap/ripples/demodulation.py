@@ -1,4 +1,4 @@
-"""A clip demodulated at a wave, its trend taken off: sums over boxes of a sixth of a wavelength."""
+"""Demodulation of a clip at a wave, without its trend, in boxes of a sixth of a wavelength."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 
-# Boxes a wavelength, and the most boxes a side.
+# Boxes per wavelength, and most boxes along a side of the clip.
 BOXES = 6
 MAX_BOXES = 160
 # Standard deviation, in wavelengths, of the Gaussian that smooths the trend.
 TREND_SD = 1.5
-# Rounds of the local trend, each on what the last left: at a clip's edge one alone is off by the
-# trend's slope.
+# Rounds of the local trend, each on the residual of the last: at a clip's edge a single round is
+# wrong by the trend's slope.
 TREND_ROUNDS = 2
-# Steps of the log of range, and degree of the polynomial in it that is taken off first: near the
+# Steps of the log of range, and degree of the polynomial in it that is removed first: near the
 # track intensity changes by more than smoothing can follow.
 RANGE_STEPS, RANGE_DEGREE = 24, 2
-# Local amplitude, over that of the clip's rippled part, of places without ripples.
+# Local amplitude, over that of the clip's rippled part, below which there are no ripples.
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
 FULL = 0.8
-# Rounds in which the wave is refined.
+# Most iterations of the refinement of the wave.
 MAX_ROUNDS = 8
 
 
@@ -43,19 +43,19 @@ class BoxSums:
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m.
     size : int
-        Pixels a side of a box.
+        Side length of a box in pixels.
     turned : ndarray of complex
-        Sums of (intensity over trend, less 1) * exp(-i phase of the wave).
+        Sums of (intensity over trend, minus 1) * exp(-i phase of the wave).
     count : ndarray
-        Valid pixels.
+        Number of valid pixels.
     trend : ndarray
         Local mean intensity.
     wavelength : float
-        In boxes.
+        Wavelength in boxes.
     variance : float
-        Of intensity over trend.
+        Variance of intensity over trend.
     stripes : ndarray (2,)
-        Stripes across the crests a column and a row.
+        Number of stripes across the crests per column and per row.
     """
 
     wave: FloatArray
@@ -71,8 +71,8 @@ class BoxSums:
 def demodulate(image: Image, wave: FloatArray) -> BoxSums:
     """Demodulate a clip at a wave and sum it over boxes.
 
-    Trend and fundamental are fitted together, locally: at the clip's edges and holes the mean of a
-    part of a wave is not the trend.
+    Trend and fundamental are fitted together, locally: at the clip's edges and holes the mean over
+    part of a wavelength is not the trend.
 
     Parameters
     ----------
@@ -101,19 +101,19 @@ def demodulate(image: Image, wave: FloatArray) -> BoxSums:
     flat = turned[0] / trend - turned[1]
     square = box_sums(image.power**2, image.valid, 0.0, 0.0, size)[0].real
     variance = float((square / trend**2).sum() / max(sums[1].sum(), 1)) - 1
-    # stripes a third of a wavelength wide that run across the crests: each sees whole waves
+    # stripes a third of a wavelength wide that run across the crests: each contains whole waves
     stripes = 3 * np.array([-per_row, per_column])
     return BoxSums(wave, size, flat, sums[1], trend, wavelength, max(variance, 1e-6), stripes)
 
 
 def range_trend(image: Image, size: int) -> FloatArray:
-    """Power of range, nearly, that the clip's intensity follows, over boxes.
+    """Trend of the clip's intensity over range, roughly a power law, over boxes.
 
     Parameters
     ----------
     image : Image
     size : int
-        Pixels a side of a box.
+        Side length of a box in pixels.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def range_trend(image: Image, size: int) -> FloatArray:
     total = box_sums(image.power, image.valid, 0.0, 0.0, size)[0].real
     filled = count > 0
     x = place[filled]
-    # means of even steps of log range first: intensity is far from Gaussian
+    # take means over even steps of log range first: intensity is far from Gaussian
     step = (x - x.min()) / max(float(np.ptp(x)), 1e-9) * RANGE_STEPS
     step = np.minimum(step, RANGE_STEPS - 1).astype(int)
     pixels, power, where = (
@@ -139,15 +139,15 @@ def range_trend(image: Image, size: int) -> FloatArray:
 def along_range(
     image: Image, size: int, reach: FloatArray, ratio: FloatArray, weight: FloatArray
 ) -> FloatArray:
-    """Polynomial in the log of range through the log of ratios, over boxes.
+    """Polynomial in the log of range fitted to the log of ratios, evaluated over boxes.
 
     Parameters
     ----------
     image : Image
     size : int
-        Pixels a side of a box.
+        Side length of a box in pixels.
     reach, ratio, weight : ndarray (n,)
-        Ground range (m), what is found there, and the pixels that it rests on.
+        Ground range (m), ratio of intensities there, and the number of pixels it is based on.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def along_range(
 
 
 def _log_range(image: Image, size: int) -> tuple[FloatArray, FloatArray]:
-    """Log of the mean ground range of boxes, 0 where there is none, and their pixels."""
+    """Return the log of the mean ground range of boxes, 0 for empty ones, and their pixel count."""
     reach = np.where(image.valid, image.ground_range, 0.0)
     total, count = box_sums(reach, image.valid, 0.0, 0.0, size)
     mean = total.real / np.maximum(count, 1)
@@ -175,14 +175,14 @@ def _log_range(image: Image, size: int) -> tuple[FloatArray, FloatArray]:
 
 
 def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
-    """Demodulate at a nearby wave what is demodulated already: turn the boxes.
+    """Shift demodulated boxes to a nearby wave by rotating their phase.
 
     Parameters
     ----------
     image : Image
     boxes : BoxSums
     wave : ndarray (2,)
-        Wave vector (east, north), cycles/m, off by little over a box.
+        Wave vector (east, north), cycles/m, whose phase differs little over a box.
 
     Returns
     -------
@@ -197,7 +197,7 @@ def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
 
 
 def turned_back(image: Image, boxes: BoxSums, lag: tuple[FloatArray, FloatArray]) -> BoxSums:
-    """Take a phase that follows range off demodulated boxes.
+    """Remove a phase lag that depends on range from demodulated boxes.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def turned_back(image: Image, boxes: BoxSums, lag: tuple[FloatArray, FloatArray]
 
 
 class Smoother:
-    """Gaussian smoothing of arrays of a shape, zero outside."""
+    """Gaussian smoothing of arrays of one shape, taken as zero outside."""
 
     def __init__(self, shape: tuple[int, int], sd: float) -> None:
         self._shape = shape
@@ -242,7 +242,7 @@ def _local_trend(
     count1: ComplexArray,
     count2: ComplexArray,
 ) -> FloatArray:
-    """Mean of T (1 + z e^(i phase) + its conjugate) that explains smoothed sums of the image."""
+    """Fit T (1 + z e^(i phase) + its conjugate) to smoothed sums of the image; return T."""
     count = np.maximum(count, 1e-6 * count.max())
     # unknowns T, p = Re(T z), q = Im(T z); z e^(i phase) + conjugate = 2 p cos - 2 q sin
     c1, s1 = count1.real, -count1.imag
@@ -263,7 +263,7 @@ def _local_trend(
 
 
 def box_places(image: Image, boxes: BoxSums) -> tuple[FloatArray, FloatArray]:
-    """Places of box centres along and across the look from the clip's centre, m."""
+    """Return positions of box centres along and across the look from the clip's centre, m."""
     rows, columns = image.shape
     down = (np.arange(boxes.count.shape[0]) + 0.5) * boxes.size - 0.5 - (rows - 1) / 2
     right = (np.arange(boxes.count.shape[1]) + 0.5) * boxes.size - 0.5 - (columns - 1) / 2
@@ -305,10 +305,11 @@ def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
 
 
 def covered_boxes(image: Image, boxes: BoxSums) -> tuple[BoolArray, float]:
-    """BoxSums where ripples are, and the fraction of the valid area that they make up.
+    """Return the boxes that have ripples, and the fraction of the valid area that they make up.
 
-    Contrast grows as the sound grazes lower, so amplitude is compared over the angle from
-    the vertical; where speckle hides what one place shows, all count as rippled.
+    Contrast grows towards lower grazing angles, so the amplitude is divided by the angle from the
+    vertical before it is compared. Where speckle hides local amplitudes, all boxes count as
+    rippled.
     """
     filled = boxes.count > 0
     size = boxes.size
@@ -340,7 +341,7 @@ def covered_boxes(image: Image, boxes: BoxSums) -> tuple[BoolArray, float]:
 def local_ratio(
     image: Image, wave: FloatArray, box: int, used: BoolArray, model: FloatArray
 ) -> FloatArray:
-    """Smooth ratio of an image and its model over boxes: what trend a model leaves.
+    """Smooth ratio of an image to its model over boxes: the trend that the model leaves.
 
     Parameters
     ----------
@@ -348,7 +349,7 @@ def local_ratio(
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m.
     box : int
-        Pixels a side of a box.
+        Side length of a box in pixels.
     used : ndarray of bool (rows, columns)
     model : ndarray (rows, columns)
         Expected intensity where used.
@@ -356,7 +357,7 @@ def local_ratio(
     Returns
     -------
     ndarray (box rows, box columns)
-        1 far from all pixels that are used.
+        1 far from all used pixels.
     """
     sums = [box_sums(v, used, 0.0, 0.0, box)[0].real for v in (image.power, model)]
     wavelength = 1 / float(np.hypot(*image.per_pixel(wave)) * box)

@@ -1,7 +1,7 @@
 """Wavelength and steepness of ripples, from joint draws of f and A_H.
 
-Height from trough to crest is 2 A_H and needs no draws; quantiles of the wavelength 1/f follow from
-those of f. The means of 1/f and everything of the steepness 2 A_H f do not.
+The height from trough to crest is 2 A_H and needs no draws; quantiles of the wavelength 1/f follow
+from those of f. The mean of 1/f and all statistics of the steepness 2 A_H f need joint draws.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ NAN = float("nan")
 
 
 class Derived(NamedTuple):
-    """What follows from f and A_H together.
+    """Quantities derived from f and A_H jointly.
 
     Attributes
     ----------

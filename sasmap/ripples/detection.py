@@ -39,65 +39,67 @@ from sasmap.ripples.spectra import (
 
 FloatArray = NDArray[np.float64]
 
-# Most peaks that are examined: bounds the time.
+# Most peaks that are examined, to bound the time.
 CANDIDATES = 6
 # Cosine of the angle between crest normal and look below which height is not identifiable: within
 # four degrees of a look along the crests (docs/limits.md).
 MIN_ALONG = 0.07
 # Log prior odds against a ripple, including the number of cells tested, and extra for parts
-# (pipelines/ripples/presence.py, as all constants of this file without another source).
+# (pipelines/ripples/presence.py, the source of all constants of this file that name no other).
 PRIOR, PART_TRIALS = 16.0, 1.5
-# Strong waves over several wavelengths are rarely anything else: largest bonus, nats, and the ramps
-# of contrast and extent over which it sets in. The ramp of the (negative) number of wavelengths
-# ends it: with more of them the spectrum suffices, and long-grained speckle has as much contrast.
+# Strong waves over several wavelengths are rarely anything else. Largest bonus for them, nats;
+# ramps of contrast and extent over which it sets in; ramp of the (negative) number of wavelengths
+# over which it ends, as the spectrum suffices with more, and speckle of long grain has as much
+# contrast.
 STRENGTH, STRONG, WIDE, MANY = 9.0, (0.2, 0.4), (2.65, 2.8), (-12.0, -9.0)
-# Ramp of the wavelength over the size of speckle's grain over which it sets in: three to five times
-# as long as grains are wide. Clips of grain alone that pass for ripples have 6 to 9, recorded
-# ripples 14 and more.
+# Ramp of the wavelength over the size of the speckle grain over which the bonus sets in: three to
+# five times as long as grains are wide. Clips of grain alone that pass for ripples have 6 to 9,
+# recorded ripples 14 and more.
 GRAINS = (9.0, 12.0)
-# Ramp of the negative excess kurtosis over which the bonus sets in: grain and marks have pointed
+# Ramp of the negative excess kurtosis over which the bonus sets in: grain and marks have peaked
 # profiles.
 ROUND = (-0.3, 0.0)
-# Least excess kurtosis of a profile across lines, and nats per unit of it; what a train that fills
-# its place may have more, and ramp of the extent over the number of wavelengths: crests whose steep
-# side is seen are a sixth of a wavelength wide (0.8 to 1.6 more, at an extent of 0.75 to 0.9; lines
-# of another sonar's interference have 0.5 to 0.75).
+# Excess kurtosis of a profile above which it counts as lines, and nats per unit of it; allowance
+# for a wave train that fills its part of the clip, and ramp of the extent over the number of
+# wavelengths over which the allowance sets in: crests whose steep side is seen are a sixth of a
+# wavelength wide (0.8 to 1.6 more, at an extent of 0.75 to 0.9; lines of another sonar's
+# interference have 0.5 to 0.75).
 MAX_KURTOSIS, PER_KURTOSIS, NARROW, FILLING = 0.5, 6.0, 1.5, (0.75, 0.85)
-# Power at half the wave number over that at the wave above which blotches explain it, at so many
-# wavelengths and from so many on, and nats per unit of it.
+# Power at half the wave number over that at the wave above which blotches explain it, with few and
+# with many wavelengths; those numbers of wavelengths; nats per unit of the ratio.
 UNDERTONES, FEW_MANY, PER_UNDERTONE = (0.9, 0.4), (5.0, 6.5), 15.0
 # Log prior odds against a second system beside a first: about one rippled clip in twenty has one.
 SECOND = 3.0
-# Cosine of the angle within which waves have the same direction, and deviation of their ratio from
-# 2 within which the shorter may be a harmonic: it is broad where crests bend and fork.
+# Cosine above which waves have the same direction, and deviation of their frequency ratio from 2
+# within which the shorter may be a harmonic, whose peak is broad where crests bend and fork.
 SAME, NEARLY_TWICE = 0.95, 0.3
 # Nats in favour of a wave that does not resemble an object at all.
 OBJECT = 12.0
-# Least extent of a wave along its normal, wavelengths; share of the available wavelengths beyond
-# twice that which is required as well (a few lines may be in step, but not everywhere); nats per
-# wavelength.
+# Least extent of a wave along its normal, wavelengths; additional extent required, as a share of
+# the available wavelengths beyond twice that (a few lines may be in phase, but not everywhere);
+# nats per wavelength.
 MIN_EXTENT, OF_MORE, PER_WAVE = 2.5, 0.1, 10.0
-# Least extent along the normal over that along the crests, up to so many wavelengths: trawl marks,
-# at most four lines, cross a clip from edge to edge (400 such clips have 0.27 to 0.74, ripples with
-# forks at least 0.83, recorded ones 0.75).
+# Least extent along the normal over that along the crests, and its upper limit in wavelengths:
+# trawl marks, at most four lines, cross a clip from edge to edge (400 such clips have 0.27 to 0.74,
+# ripples with forks at least 0.83, recorded ones 0.75).
 OF_CRESTS, ENOUGH = 0.7, 5.0
-# Loss of step from crest to crest above which lines may be marks, nats per unit of it, and ramp of
-# the (negative) extent along the normal of four lines at most. Of 450 small clips with four to
-# eight forked waves (pipelines/ripples/lookalikes.py) 2 % have more, of 48 recorded ones none, of
-# 10 clips of trawl marks that pass for ripples otherwise 8, of 7 fresh ones 2 (the others keep
-# step by chance or extend farther). Most pairs of parallel systems, out of step as well, extend
-# farther.
+# Loss of phase coherence from crest to crest above which lines may be marks, nats per unit of it,
+# and ramp of the (negative) extent along the normal of at most four lines. It is exceeded by 2 % of
+# 450 small clips with four to eight forked waves (pipelines/ripples/lookalikes.py), by none of 48
+# recorded ones, by 8 of 10 clips of trawl marks that otherwise pass for ripples, and by 2 of 7
+# further such clips (the others are in phase by chance or extend farther). Most pairs of parallel
+# systems, which are out of phase as well, extend farther.
 STEPS, PER_STEP, LINES = 0.25, 60.0, (-4.6, -4.0)
 # Share of the spectral evidence that also counts against marks, which are irregularly spaced (of
 # 1200 such clips 3 are false positives with it and without).
 REGULAR = 0.5
 # Evidence below which no further alternative is tested: odds of one in four hundred.
 HOPELESS = -6.0
-# Evidence from which a wave counts as certain (odds of 20); contrast of the pings' gains, and share
-# of their variance, from which they show a wave seen along its crests.
+# Evidence above which a wave counts as certain (odds of 20); contrast of the pings' gains, and
+# share of their variance, above which they show a wave seen along its crests.
 SURE, ALONG_CONTRAST, ALONG_SHARE = 3.0, 0.1, 0.5
-# A wave too long for the clip: least wavelengths in the clip, contrast, bins that it spreads over,
-# share of the clip's variance, and extent over the number of wavelengths.
+# A wave too long for the clip: least wavelengths in the clip, contrast, number of bins that it
+# spreads over, share of the clip's variance, and extent over the number of wavelengths.
 FEW_WAVES, FEW_CONTRAST, FEW_BINS, FEW_SHARE, FEW_EXTENT = 1.5, 0.3, 3.0, 0.4, 0.6
 # Probability of ripples where no peak is examined.
 NEVER = 1e-4
@@ -130,7 +132,7 @@ class Wave(NamedTuple):
     energy : float
         Power in its cells, summed over all pixels of the clip.
     whole : bool
-        Whether the spectrum of the whole clip shows it, not only that of a part.
+        Whether it was found in the spectrum of the whole clip, not only in that of a part.
     """
 
     vector: FloatArray
@@ -256,7 +258,7 @@ def _overtone(one: FloatArray, other: FloatArray) -> bool:
 def _crossing(
     image: Image, flat: FloatArray, peaks: list[Peak], bounds: tuple[float, float]
 ) -> list[Wave]:
-    """Find two systems, neither detected alone, each certain given the other; or none."""
+    """Find two systems, neither detected alone but each certain given the other; else none."""
     whole = next((p.per_pixel for p in peaks if _whole(p, flat)), None)
     others = [] if whole is None else _given(image, flat, whole, bounds)
     if whole is None or not others:
@@ -285,9 +287,9 @@ def _along_look(image: Image, peak: Peak) -> float:
 
 
 def _wave(image: Image, flat: FloatArray, peak: Peak, beside: bool = False) -> Wave:
-    """Judge a peak by its place in the clip: the alternative that explains it best decides.
+    """Judge a peak by its appearance in the clip: the best alternative explanation decides.
 
-    `beside` tells that it is of a system beside a known one.
+    `beside` says that it belongs to a second system beside a known one.
     """
     whole = _whole(peak, flat)
     places = np.ascontiguousarray(flat[peak.part]), np.ascontiguousarray(image.valid[peak.part])
@@ -308,7 +310,7 @@ def _rivals(
     beside: bool,
 ) -> Iterator[float]:
     """Log odds of a peak against alternative explanations, the fastest tests first."""
-    contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # the rest is texture
+    contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # texture excluded
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
     if strong > 0:
         strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)
@@ -329,7 +331,7 @@ def _rivals(
     marks += PER_STEP * max(there.out_of_step - STEPS, 0.0) * _ramp(-there.normal, *LINES)
     yield REGULAR * max(told, 0.0) - marks
     yield OBJECT * (1 - objectness(flat, image.valid, peak.per_pixel, there))
-    if not beside:  # half the wave number may be another system's
+    if not beside:  # half the wave number may belong to the other system
         amplitude = np.sqrt(np.maximum(image.power[peak.part], 0.0))
         most = np.interp(peak.waves, FEW_MANY, UNDERTONES)
         yield PER_UNDERTONE * (most - undertone(amplitude, places[1], peak.per_pixel))
@@ -342,7 +344,7 @@ def _ramp(value: float, low: float, high: float) -> float:
 def _unclear(
     image: Image, flat: FloatArray, gains: FloatArray, hidden: bool, bounds: tuple[float, float]
 ) -> Unclear | None:
-    """Say why a clip without a detected wave is inconclusive, if it is."""
+    """Return why a clip without a detected wave is inconclusive, None if it is not."""
     rows, columns = (float(np.ptp(places)) + 1 for places in np.nonzero(image.valid))
     longest = np.hypot(rows, columns) * image.pixel_size / MIN_WAVES
     if longest * bounds[1] < 1:
@@ -355,7 +357,7 @@ def _unclear(
 
 
 def _periodic(gains: FloatArray) -> bool:
-    """Whether the gains of pings are a strong wave: crests that run along the look."""
+    """Whether the pings' gains contain a strong wave, as of crests that run along the look."""
     count = gains.size
     power = np.abs(np.fft.rfft((gains - gains.mean()) * taper(count))) ** 2
     first = int(np.ceil(MIN_WAVES))
@@ -366,7 +368,7 @@ def _periodic(gains: FloatArray) -> bool:
     here = searched[max(k - 1, 0) : k + 2].sum()
     # half of the energy of a sine under a sine taper lies in its three highest bins
     contrast = 2 * np.sqrt(here / (0.5 * count) / count) * np.sqrt(2)
-    a_peak = power[first + k] > power[1:first].max()  # not the remainder of a trend
+    a_peak = power[first + k] > power[1:first].max()  # not the tail of a trend
     return bool(a_peak and contrast > ALONG_CONTRAST and here > ALONG_SHARE * searched.sum())
 
 

@@ -1,4 +1,4 @@
-"""What the model of a clip may be wrong by: errors of its likelihood, and of f beside it."""
+"""Errors of the model of a clip: those that enter the likelihood, and those added to f."""
 
 from __future__ import annotations
 
@@ -13,34 +13,35 @@ from sasmap.ripples.rendering import Geometry, Histogram, Parameters, fill_resid
 
 FloatArray = NDArray[np.float64]
 
-# Errors of the model: least relative error of the expected intensity that the pixels of a group of
-# range and one of so many parts of phase share, with straight crests and where a field is followed;
-# displacement of the pulse that all groups share, in pixels, and in cycles where a field is
-# followed (pipelines/ripples/coherent.py).
+# Errors of the model: least relative error of the expected intensity that is shared by the pixels
+# of a cell (a group of range and one of ERROR_CELLS parts of phase), with straight crests and where
+# a phase field is followed; displacement of the pulse that all groups share, in pixels, and in
+# cycles where a field is followed (pipelines/ripples/coherent.py).
 MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
 # Error of the expected intensity over the clip's mean, with straight crests and where a field is
-# followed: side lobes, and light that forks and defects leave in shadow.
+# followed: side lobes, and lit sea floor at forks and defects where the model has shadow.
 DARK_ERROR = (0.002, 0.01)
-# Least intensity over the clip's mean of which that error is told.
+# Floor of the intensity over the clip's mean that this error is divided by.
 LEAST_LIGHT = 1e-4
-# Departure of the log of a scattering law from its family at each knot (rough floors have a peak
-# near normal incidence); third harmonic of the profile over A_H.
+# Standard deviations: departure of the log of a scattering law from its family at each knot (rough
+# floors have a peak near normal incidence), and third harmonic of the profile over A_H.
 LAW_ERROR, THIRD_HARMONIC = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03
-# Change of log A_H over the range of a clip: standard deviations of its first cosines, and step by
-# which it is told. Of 53 cells of a simulator of others, whose heights change by 1.3 to 10 times or
-# come in groups, 8 were 4 standard deviations and 20 % off without, 1 with 0.07 and with 0.1, where
-# calibration is worse (pipelines/ripples/calibration.py).
+# Change of log A_H over the range of a clip: standard deviations of its first cosines, and step of
+# the finite difference. Of 53 cells of an independent simulator, whose heights change by factors of
+# 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 % without it, 1 with 0.07
+# and 1 with 0.1, where calibration is worse (pipelines/ripples/calibration.py).
 HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
-# Error of the pulse's second harmonic where crests bend.
+# Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
 FIELD_HARMONIC = 0.03
 
 
 def with_errors(fit: Fit) -> Histogram:
-    """Add what the model may be wrong by in all bins together to a histogram.
+    """Return the histogram with the model errors that all bins share.
 
-    The scattering law's departure from its family, the crest profile's third harmonic, and heights
-    that change over range; where a field is followed, that a pulse of crests of many wavelengths
-    and directions is not that of their mean. They are integrated out to second order.
+    The errors are the scattering law's departure from its family, the crest profile's third
+    harmonic, and heights that change over range; where a phase field is followed, also that the
+    pulse of crests of many wavelengths and directions differs from that of their mean. They are
+    integrated out to second order.
     """
     data = fit.data
     logs = np.log(expected_at(fit, fit.z)[0])
@@ -61,7 +62,7 @@ def with_errors(fit: Fit) -> Histogram:
 
 
 def _geometries(geometry: Geometry) -> list[Geometry]:
-    """Geometries whose crest profile or scattering law is wrong by a standard deviation."""
+    """Geometries whose crest profile or scattering law is off by one standard deviation."""
     others = []
     if not geometry.published:
         others = [geometry._replace(third_harmonic=v) for v in THIRD_HARMONIC * np.eye(2)]
@@ -71,7 +72,7 @@ def _geometries(geometry: Geometry) -> list[Geometry]:
 
 
 def _height_trends(fit: Fit) -> list[FloatArray]:
-    """Errors of the log expected intensity where A_H changes over range, (blocks, bins) each."""
+    """Errors of the log expected intensity from changes of A_H over range, (blocks, bins) each."""
     lower, higher = (np.log(expected_of(fit, ripple)[0]) for ripple in _lower_and_higher(fit))
     slope = (higher - lower) / (2 * HEIGHT_STEP)
     return [change[:, None] * slope for change in _changes(fit.data)]
@@ -85,21 +86,21 @@ def _lower_and_higher(fit: Fit) -> list[Parameters]:
 
 
 def _changes(data: Histogram) -> list[FloatArray]:
-    """Return changes of log A_H over range, of a standard deviation each, (blocks,)."""
+    """Return changes of log A_H over range, one standard deviation each, (blocks,)."""
     across = (data.place - data.place.min()) / max(float(np.ptp(data.place)), 1e-9)
     return [sd * np.cos(np.pi * k * across) for k, sd in enumerate(HEIGHT_TREND, 1)]
 
 
 def turned_by_errors(fit: Fit) -> float:
-    """Tell the standard deviation of the slope of lags over range by what the model may miss.
+    """Compute the standard deviation of the slope of lags over range due to the model's errors.
 
-    Law, profile and heights that change over range turn the image's phase as well: with straight
-    crests by what the image leaves open, where a field is followed by all that they may.
+    Errors of law and profile, and heights that change over range, also turn the image's phase. With
+    straight crests their posterior given the image is used, with a phase field their prior.
 
     Parameters
     ----------
     fit : Fit
-        Of :func:`with_errors`.
+        Its histogram as :func:`with_errors` returns it.
 
     Returns
     -------
@@ -122,7 +123,7 @@ def turned_by_errors(fit: Fit) -> float:
 
 
 def _turn(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles from the first to the second, at most half a turn, rad."""
+    """Angles from the first to the second, rad, within half a turn."""
     return np.asarray(np.angle(np.exp(1j * (second - first))))
 
 
@@ -135,7 +136,7 @@ def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
 
 
 def with_fitted_errors(fit: Fit) -> FloatArray:
-    """Return expected intensity (blocks, bins) with the errors that the image tells."""
+    """Return expected intensity (blocks, bins) with the model errors fitted to the image."""
     means = expected_at(fit, fit.z)[0]
     errors = fit.data.errors.reshape(-1, means.size)
     if not len(errors):
@@ -147,17 +148,17 @@ def with_fitted_errors(fit: Fit) -> FloatArray:
 
 
 def misfit_of(fit: Fit, whole: Histogram) -> float:
-    """Relative error of the expected intensity beyond speckle, root mean square over what is lit.
+    """Root mean square relative error of the expected intensity, beyond speckle.
 
-    Of groups of range and parts of phase, and beyond the errors of law and profile that the
-    likelihood allows for. What is dark weighs less, by the square of its intensity: side lobes are
-    light there.
+    Computed over cells (groups of range and parts of phase), after the model errors that the
+    likelihood allows for are fitted. Dark cells weigh less, by the square of their intensity,
+    because side lobes brighten them.
 
     Parameters
     ----------
     fit : Fit
     whole : Histogram
-        Of whole pixels.
+        With all pixels of weight 1.
 
     Returns
     -------
@@ -173,15 +174,15 @@ def misfit_of(fit: Fit, whole: Histogram) -> float:
 
 
 def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
-    """Tell what a pixel of each bin is worth (blocks, bins): less where the model may err.
+    """Compute the weight of a pixel in each bin (blocks, bins), less where the model may be wrong.
 
-    Integrated out, an error of standard deviation s that n pixels share leaves them the weight
+    Integrating out an error of standard deviation s that n pixels share leaves them the weight
     1 / (F + n s^2).
 
     Parameters
     ----------
     fit : Fit
-        With a histogram of whole pixels.
+        With a histogram whose pixels all have weight 1.
     noise_factor : float
         F, variance of the speckle over that of independent pixels.
     pixel_size : float
@@ -196,16 +197,16 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
 
 
 def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
-    """Tell the standard deviation of the slope of straight crests' phase over range.
+    """Compute the standard deviation of the slope of straight crests' phase over range.
 
-    By speckle and the errors that each range has of its own: those that all ranges share turn all
-    phases alike.
+    It comes from speckle and from errors specific to each range; errors that all ranges share shift
+    all phases equally.
 
     Parameters
     ----------
     fit : Fit
     whole : Histogram
-        Of whole pixels.
+        With all pixels of weight 1.
     pixel_size : float
         m.
 
@@ -222,17 +223,17 @@ def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
 
 
 def _per_cycle(logs: FloatArray) -> FloatArray:
-    """Return the slope of values (blocks, bins) over phase, a cycle."""
+    """Return the derivative of values (blocks, bins) with respect to phase, per cycle."""
     return np.asarray(0.5 * logs.shape[1] * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1)))
 
 
 def _shared(fit: Fit, noise_factor: float, pixel_size: float) -> tuple[FloatArray, FloatArray]:
-    """Pixels times variance of the errors that they share, (blocks, bins) each.
+    """Return pixel counts times the variance of the errors that they share, (blocks, bins) each.
 
-    The first is a relative error of the expected intensity of the pixels of a cell, a group of
-    range and a part of phase. The second is another, and a displacement of the pulse, of all that
-    show a part of phase. The relative errors are what the clip's own misfit shows, the first no
-    less than MODEL_ERROR.
+    The first is for a relative error of the expected intensity shared within a cell (a group of
+    range and a part of phase). The second is for a relative error and a displacement of the pulse
+    shared by all pixels of a part of phase. The relative errors are estimated from the clip's own
+    misfit, the first at least MODEL_ERROR (FIELD_ERROR where a phase field is followed).
     """
     data = fit.data
     means = expected_at(fit, fit.z)[0]
@@ -251,7 +252,7 @@ def _shared(fit: Fit, noise_factor: float, pixel_size: float) -> tuple[FloatArra
     brighter = np.maximum(total(data.intensity_sum), total(data.pixel_count * means)) / count
     dark = (DARK_ERROR[which] / np.maximum(brighter, LEAST_LIGHT)) ** 2
     misfit = total(data.intensity_sum / means) / count - 1
-    # what misfit the bright cells show
+    # misfit of the bright cells
     weight = pixels * least / (least + dark)
     both = np.average(misfit**2 - noise_factor / count - displaced, weights=weight)
     whole = np.maximum(weight.sum(axis=0), 1e-9)

@@ -1,4 +1,4 @@
-"""One clip to its posterior: is there a ripple, fit, sample, judge."""
+"""From one clip to its posterior: detect a ripple, fit it, sample, judge the quality."""
 
 from __future__ import annotations
 
@@ -43,37 +43,39 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Error of log A_H where crests bend: the pulse is that of straight crests of the mean wavelength
-# (pipelines/ripples/coherent.py).
+# Error of log A_H where crests bend, since the pulse is that of straight crests of the mean
+# wavelength (pipelines/ripples/coherent.py).
 FIELD_HEIGHT = 0.06
-# Largest noise factor that correlated speckle makes, and error of log A_H for each power of e
-# beyond: with straight crests, and where a field is followed, as forks under deep shadow make it
-# large (pipelines/ripples/coherent.py).
+# Largest noise factor that correlated speckle explains, and error of log A_H for each factor of e
+# beyond it: with straight crests, and where a phase field is followed, as forks under deep shadow
+# make it large (pipelines/ripples/coherent.py).
 MISFIT, FIELD_MISFIT = (4.0, 0.15), (2.0, 0.2)
-# Misfit of lit sea floor that waves of one height leave, and error of log A_H for each unit beyond
-# (pipelines/studies/varying.py).
+# Misfit of lit sea floor that remains where all waves have one height, and error of log A_H per
+# unit beyond it (pipelines/studies/varying.py).
 ONE_HEIGHT, VARYING = 0.03, 2.2
-# Rippled share of a clip from which it counts as filled, and below which an edge of the ripples is
-# sure to be in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
+# Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
+# certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
-# Step of log A_H by which the lag's change with height is told.
+# Step of log A_H for the derivative of the lag with height.
 HEIGHT_STEP = 0.02
-# Most that an error leaves unknown: this share of what the prior of steepness does.
+# Largest error of log A_H in total, as a share of the prior standard deviation of log steepness.
 UNKNOWN = 0.8
 # Draws from which the lag's slope over range is learned.
 LAG_DRAWS = 60
-# Error of log A_H over the ratio of amplitudes of two sets of crests that cross.
+# Error of log A_H over the amplitude ratio of two sets of crests that cross.
 CROSSING = 2.0
-# Probability from which a clip counts as rippled.
+# Probability above which a wave counts as a ripple.
 PRESENT = 0.5
-# Cosine of the angle between crests from which those of another system run; log of the ratio of
-# wavelengths from which those of one direction are two; cosine above which a whole ratio is an
-# overtone.
+# Cosine of the angle between crests below which they belong to another system; log of the ratio of
+# wavelengths above which waves of one direction are two systems; cosine above which a wave of
+# integer frequency ratio is an overtone.
 ANOTHER, LONGER, OVERTONE = 0.87, 0.4, 0.95
-# Ratio of frequencies from which, and energy over the strongest wave's below which, a wave of the
-# same direction is an overtone all the same: shadow made one of 2.6 and 2.7 with a tenth.
+# Ratio of frequencies above which, and energy over the strongest wave's below which, a wave of the
+# same direction is an overtone even if the ratio is not an integer: shadow made one of 2.6 and 2.7
+# with a tenth of the energy.
 SHORTER, FAINT = 1.7, 0.25
-# Share of the strongest wave's energy from which its half or double is tried as well.
+# Share of the strongest wave's energy above which a wave of half or double its frequency is tried
+# as well.
 RIVAL = 0.25
 
 
@@ -90,13 +92,13 @@ def estimate(
     ----------
     clip : Clip or DataArray (y, x)
         Linear amplitudes with ``x``, ``y``, ``ground_range``, ``altitude`` (m) and
-        ``look_azimuth`` (degrees) coordinates, as :func:`sasmap.open_pass` gives them.
+        ``look_azimuth`` (degrees) coordinates, as :func:`sasmap.open_pass` returns them.
     settings : RippleSettings, optional
         The survey's ``ripples`` block.
     rng : Generator or int, optional
         Source of randomness or its seed; the same seed gives the same posterior to the bit.
     prior : Prior, optional
-        Of (f, A_H); that of natural ripples within the settings' bounds if not given.
+        Prior of (f, A_H); by default that of natural ripples within the settings' bounds.
 
     Returns
     -------
@@ -115,7 +117,7 @@ def estimate(
     The default method finds the ripple's wave in the clip's spectrum, follows its phase where
     crests bend, sums the pixels by phase and range and samples the speckle likelihood of a rendered
     wavelength (:mod:`sasmap.ripples.rendering`), its scattering law included; "zare-cobb" is the
-    published sampler (Zare and Cobb 2013), which takes crests as straight and looked at square-on.
+    published sampler (Zare and Cobb 2013), which assumes straight crests seen square-on.
 
     Examples
     --------
@@ -197,7 +199,7 @@ def _default(
 
 
 def _fits(task: Task, waves: list[Wave]) -> Iterator[tuple[Wave, Fit]]:
-    """Waves that the prior has a place for, and their fits."""
+    """Yield the waves that the prior allows, and their fits."""
     for wave in waves:
         try:
             yield wave, fit_wave(task, wave.vector)
@@ -206,7 +208,7 @@ def _fits(task: Task, waves: list[Wave]) -> Iterator[tuple[Wave, Fit]]:
 
 
 def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> xr.Dataset:
-    """Estimate a wave of a clip whose first system is estimated already."""
+    """Estimate a second wave of a clip whose first system is already estimated."""
     fits = list(_fits(task, [wave]))
     if not fits:
         return xr.Dataset()
@@ -214,24 +216,24 @@ def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> 
     if fit.geometry.along < MIN_ALONG * np.hypot(fit.geometry.along, fit.geometry.across):
         return xr.Dataset()
     points, _, done = _sampled(fit, task.settings, rng)
-    if not done:  # too weak for the clip to tell
+    if not done:  # too weak to be estimated from the clip
         return xr.Dataset()
     fraction = ripple_extent(task.image, fit.phase.wave).fraction
     return _labelled(points, fit, task.image, (_crossing(wave, first), fraction), rng)
 
 
 def _crossing(wave: Wave, other: Wave | None) -> float:
-    """Error of log A_H by crests that cross, from the energy of their contrast over the wave's own.
+    """Error of log A_H due to crossing crests, from their contrast energy over the wave's own.
 
-    Each is estimated as if alone, with a pulse that the other blurs: A_H came out lower by as much
-    (a wave of 0.6 cycles/m and 0.07 m under one of 1.0 and 0.025: 0.034 and 0.039 m at energies of
-    0.10 and 0.03).
+    Each system is estimated as if alone, with a pulse that the other one blurs, which lowers A_H by
+    about as much (a wave of 0.6 cycles/m and 0.07 m under one of 1.0 and 0.025: 0.034 and 0.039 m
+    at energies of 0.10 and 0.03).
     """
     return 0.0 if other is None else CROSSING * float(np.sqrt(min(other.energy / wave.energy, 1.0)))
 
 
 def _candidates(waves: list[Wave]) -> list[Wave]:
-    """Waves to fit: the strongest of those that pass, and one half or twice as long near it."""
+    """Waves to fit: the strongest that passes, and one of about half or double its frequency."""
     passed = [w for w in waves if w.probability > PRESENT]
     if not passed:
         return []
@@ -241,7 +243,7 @@ def _candidates(waves: list[Wave]) -> list[Wave]:
 
 
 def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
-    """Return the likeliest wave of another system than the first, if there is one.
+    """Return the likeliest wave of a second system, if there is one.
 
     Parameters
     ----------
@@ -253,14 +255,14 @@ def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
     Returns
     -------
     Wave or None
-        Of the whole clip (waves of its parts are the first one's that bends), in another direction,
-        and in the same one at another wavelength that is no harmonic.
+        A wave of the whole clip (those of its parts belong to a first system that bends), either in
+        another direction or in the same one at another wavelength that is not a harmonic.
     """
     most = max((wave.energy for wave in waves), default=0.0)
     for wave in waves:
         ratio = float(np.hypot(*wave.vector) / np.hypot(*first))
         cosine = float(abs(wave.vector @ first) / (np.hypot(*wave.vector) * np.hypot(*first)))
-        # under shadow overtones are broad, and moved
+        # shadow broadens and shifts overtones
         faint = ratio > SHORTER and wave.energy < FAINT * most
         overtone = cosine > OVERTONE and (faint or abs(ratio - round(ratio)) < 0.1 * ratio)
         other = cosine < ANOTHER or (abs(np.log(ratio)) > LONGER and not overtone)
@@ -270,7 +272,7 @@ def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
 
 
 def _harmonic(wave: Wave, first: Wave) -> bool:
-    """Whether a wave is nearly half or twice another."""
+    """Whether a wave has about half or twice the frequency of another in the same direction."""
     ratio = np.hypot(*wave.vector) / np.hypot(*first.vector)
     cosine = abs(wave.vector @ first.vector) / (np.hypot(*wave.vector) * np.hypot(*first.vector))
     return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
@@ -317,21 +319,22 @@ def _labelled(
     beside: tuple[float, float],
     rng: np.random.Generator,
 ) -> xr.Dataset:
-    """Name draws and give them the units that people read.
+    """Convert draws of the coordinates to named quantities, with the errors added after sampling.
 
-    `beside` is the error of log A_H by crests that cross, and the rippled share of the clip.
+    `beside` is the error of log A_H due to crossing crests, and the rippled share of the clip.
     """
     crossing, fraction = beside
     shape = points.shape[:2]
     named = named_parameters(points, fit.geometry)
     sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
     across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
-    # errors of the pulse that all ranges share blur each draw's own, though they tilt no phase: the
-    # phase over range has the error of its speckle, and turns with what shadow and lean make of it
+    # errors of the pulse that all ranges share widen the draws of the wave number, though they do
+    # not tilt the phase: its slope over range has the error of speckle, and the turn by shadow and
+    # lean that each draw implies
     offset = named.pop("wave_offset")
     slope, lag = _lags(points, fit)
     told = float((offset - slope).mean()) if fit.phase.rigid else 0.0
-    # of crests looked at square-on every row shows the same pixels: that error does not average out
+    # crests seen square-on fall on the same pixels in every row: that error does not average out
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
     own = fit.tilt if fit.phase.rigid else sd[0]
     tilt = float(np.sqrt(own**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
@@ -343,7 +346,7 @@ def _labelled(
         cycles = cycles + lag
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     turns = np.floor(azimuth.mean() / 180.0)
-    # the same crests, counted along the opposite direction
+    # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     error = np.hypot(_height_error(fit), crossing)
     most = (UNKNOWN * fit.geometry.steepness_sd) ** 2 - float(np.log(named["height"]).var())
@@ -355,10 +358,10 @@ def _labelled(
 
 
 def _height_error(fit: Fit) -> float:
-    """Error of log A_H that the image does not tell: it is drawn from its prior.
+    """Error of log A_H that the image does not constrain, so that it is drawn from its prior.
 
     The pulse is that of straight crests of the mean wavelength; and an image that varies more than
-    speckle does holds something that the model lacks.
+    speckle contains something that the model lacks.
     """
     error, (speckle, misfit) = (
         (_varying(fit), MISFIT) if fit.phase.rigid else (FIELD_HEIGHT, FIELD_MISFIT)
@@ -367,12 +370,12 @@ def _height_error(fit: Fit) -> float:
 
 
 def _varying(fit: Fit) -> float:
-    """Error of log A_H where single waves, or parts of the clip, have heights of their own."""
+    """Error of log A_H where heights vary between single waves or parts of the clip."""
     return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0)
 
 
 def _stretch(fit: Fit, image: Image, fraction: float) -> float:
-    """Relative error of f by heights that vary from wave to wave and by an edge of the ripples.
+    """Relative error of f due to heights that vary from wave to wave and to an edge of the ripples.
 
     A higher wave casts a longer shadow and leans farther, which turns the image's phase there; at
     an edge of the ripples the mean intensity has a step, which turns the phase of the last wave.
@@ -382,12 +385,12 @@ def _stretch(fit: Fit, image: Image, fraction: float) -> float:
     whole, cut = FILLED
     turn = EDGE_TURN * np.clip((whole - fraction) / (whole - cut), 0.0, 1.0)
     edge = turn / max(waves * fraction, 1.0)
-    # a line through the phases of so many waves
+    # error of the slope of a line fitted to the phases of so many waves
     return float(np.hypot(edge, _turn_of_heights(fit) * np.sqrt(12 / waves) / waves))
 
 
 def _turn_of_heights(fit: Fit) -> float:
-    """Cycles by which the image's phase differs from wave to wave with their heights."""
+    """Spread of the image's phase from wave to wave due to their heights, cycles."""
     spread = _varying(fit) if fit.phase.rigid else 0.0
     if spread == 0.0:
         return 0.0
@@ -397,10 +400,10 @@ def _turn_of_heights(fit: Fit) -> float:
 
 
 def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Tell what shadow and lean make of the image's phase, for each draw.
+    """Compute the lag of the image's phase due to shadow and lean, for each draw.
 
-    Its slope over range, cycles/m, and its mean, cycles. Learned from some draws: both are nearly
-    linear in the sampling coordinates.
+    Returns its slope over range, cycles/m, and its mean, cycles. Both are nearly linear in the
+    sampling coordinates, so that they are regressed on a subset of the draws.
     """
     every = points.reshape(-1, COORDINATES)
     some = every[:: max(len(every) // LAG_DRAWS, 1)]

@@ -1,4 +1,4 @@
-"""Evidence of the cells of a survey as a function of what its looks share."""
+"""Evidence of the cells of a survey as a function of the shared parameters."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ FloatArray = NDArray[np.float64]
 # Largest spread over the prior standard deviation of the law.
 MOST_SPREAD = 0.95
 # Median of the prior of the scatter between passes, of log f, log A_H and azimuth (degrees), and
-# the scatter of what differs where passes do (choices: small beside the error of a look, and wide
-# enough to be harmless).
+# the scatter of the quantities that differ where passes disagree (choices: small compared with the
+# error of a look, and wide enough to be harmless).
 SCATTER, ODD_SCATTER = np.array([3e-4, 0.01, 0.1]), np.array([0.15, 0.4, 10.0])
 # Logit of the share of the law's variance from look to look within a cell: about one in five.
 SHARE_LOGIT = -1.4
-# Most components kept in a product of looks: bounds time and memory.
+# Most components kept in a product of looks, to bound time and memory.
 MOST_KEPT = 6
-# Evidences of the cells that are kept: bounds memory, and more than the steps of a derivative.
+# Most results that are cached: bounds memory, but exceeds the steps of a numerical derivative.
 REMEMBERED = 512
 
 
@@ -56,7 +56,7 @@ class CellEvidence:
         self.looks = looks.some(np.flatnonzero(several))
         self.ends = np.cumsum(count[count > 1])
         self.sediment = looks.sediment[np.cumsum(count) - 1]
-        # passes that differ say nothing of what is shared: their evidence is that of any law
+        # passes that differ do not inform the shared parameters: take the evidence under any law
         nothing = np.zeros(int(looks.swath.max()) + 1)
         whole = MOST_SPREAD * np.sqrt(LAW_VARIANCE)
         any_law = Shared(
@@ -69,11 +69,11 @@ class CellEvidence:
     def evidence(self, shared: Shared) -> FloatArray:
         """Log evidence of each cell (cells,): its looks have the same f, A_H, azimuth and law.
 
-        The last results are kept: numerical derivatives change one population at a time.
+        The last results are cached, as numerical derivatives change one population at a time.
 
         The priors of f, A_H and azimuth are flat: ripples have similar steepness all over a survey,
-        so the steepness of many cells is not independent evidence about the law. A cell may have
-        differing passes.
+        so the steepness of many cells is not independent evidence about the law. The passes of a
+        cell may differ, with the probability `Shared.odd`.
         """
         key = np.concatenate([np.ravel(v) for v in shared]).tobytes()
         if key in self._known:
@@ -94,7 +94,7 @@ class CellEvidence:
         return every
 
     def _together(self, shared: Shared, *scatters: FloatArray) -> list[FloatArray]:
-        """Log evidence of the cells of several looks, for each of some scatters between passes."""
+        """Log evidence of cells with several looks, for each of several scatters between passes."""
         if not self.multiple.size:
             return [np.zeros(0) for _ in scatters]
         there = without_scatter(self.looks, shared)

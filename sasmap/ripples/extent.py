@@ -3,7 +3,7 @@
 The clip is demodulated at its wave and smoothed over half a wavelength. Smoothing halves the
 amplitude at the edge of a patch, whatever lies beyond: a pixel lies on rippled floor where the
 local amplitude exceeds half of that of the ripples. Contrast grows towards low grazing angles, so
-amplitudes are divided by the angle from the vertical, as in `sasmap.ripples.phase`.
+amplitudes are divided by the angle from the vertical, as in `sasmap.ripples.demodulation`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from sasmap.ripples.pixels import box_sums, spread_boxes
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude: the smallest one
-# is used at which speckle is below SURE of the ripples' amplitude.
+# Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude; the smallest is
+# used at which the error from speckle is below SURE times the ripples' amplitude.
 SMOOTHING = (0.45, 0.65, 0.95, 1.4, 2.0)
 SURE = 0.2
 # Smoothed amplitude at a straight edge over that of the ripples.
@@ -32,10 +32,10 @@ EDGE = 0.5
 UNEVEN = 0.15
 # Smallest angle from the vertical by which amplitudes are divided, rad.
 STEEP = 0.05
-# Smallest area of a gap or a patch, in squared wavelengths (the gap that a fork leaves is smaller).
+# Smallest area of a gap or a patch, in squared wavelengths (the gap at a fork is smaller).
 SPECK = 1.5
-# Iterations in which the ripples' amplitude is estimated from the rippled places: it has then
-# converged.
+# Iterations in which the ripples' amplitude is estimated from the rippled places, enough to
+# converge.
 ROUNDS = 4
 
 
@@ -49,7 +49,7 @@ class Extent(NamedTuple):
     fraction : float
         Rippled share of the valid area.
     defects : int
-        Number of phase singularities within it: crests split or end there.
+        Number of phase singularities on rippled floor, where crests split or end.
     area : float
         Searched area, m2.
     own : float
@@ -77,7 +77,7 @@ def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> E
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m.
     own : float, optional
-        `Extent.own` of the cell in which the ripples were found, if another one.
+        `Extent.own` of the cell in which the ripples were found, if that is another cell.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def _local(
         count = gaussian_filter(boxes.count, reach, mode="constant")
         count = np.maximum(count, 1e-3 * boxes.count.max())
         field = gaussian_filter(boxes.turned, reach, mode="constant") / count
-        # speckle: variance of a mean over the Gaussian's area, which edges and holes reduce
+        # speckle: variance of a mean over the Gaussian's area, which is smaller at edges and holes
         noise = boxes.variance / (4 * np.pi * (reach * boxes.size) ** 2)
         noise = noise * boxes.count.max() / count
         level = np.sqrt(np.maximum(np.abs(field) ** 2 - noise, 0)) / angle
@@ -135,7 +135,7 @@ def _local(
 
 
 def _own_level(level: FloatArray, weight: FloatArray) -> float:
-    """Amplitude of the rippled part: the mean over boxes with more than half of it."""
+    """Amplitude of the rippled part: the mean over boxes where it exceeds 0.7 of that mean."""
     energy = weight * level**2
     own = float((energy * level).sum() / max(float(energy.sum()), 1e-300))
     for _ in range(ROUNDS):
@@ -155,7 +155,7 @@ def _angle(image: Image, size: int) -> FloatArray:
 
 
 def windings(field: NDArray[np.complex128]) -> NDArray[np.int64]:
-    """Count turns of a field's phase around each group of four neighbours.
+    """Compute the winding number of a field's phase around each group of four neighbours.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From a wave that was found in a clip to its histogram and the peak that sampling starts from."""
+"""From a wave found in a clip to its histogram and the peaks that sampling starts from."""
 
 from __future__ import annotations
 
@@ -47,29 +47,30 @@ from sasmap.ripples.settings import RippleSettings, scattering_law
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Expected standard deviation of a sonar's point spread, pixels.
+# Expected standard deviation of a sonar's point spread function, pixels.
 POINT_SPREAD = 0.5
-# Cycles over the clip to which detection tells a wave number, and by which shadow and lean may turn
-# the image's wave from the ripple's (half a radian at either end, docs/science.md).
+# Prior standard deviation of the wave number, cycles over the clip: the accuracy of detection, and
+# how far shadow and lean may turn the image's wave from the ripple's (half a radian at either end,
+# docs/science.md).
 FOUND_TO = 0.5
-# Rounds in which the trend is told anew, knowing the pulse, and of Fisher scoring in each; rounds
-# in which errors are told.
+# Rounds in which the trend is estimated again with the pulse known, and of Fisher scoring in each;
+# rounds in which the model's errors are estimated.
 TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS = 2, 6, 2
-# Least wave number along the look over that across: height is not identifiable below seven times it
-# (detection.MIN_ALONG), so that a choice.
+# Least wave number along the look over that across (a choice: height is not identifiable below
+# seven times it, detection.MIN_ALONG).
 LEAST_ALONG = 0.01
-# Steepest slope of a peaked profile over a sine's of the same height.
+# Steepest slope of a peaked profile over that of a sine of the same height.
 PEAKED_SLOPE = 1.5
-# Expected intensity over the mean below which speckle is not judged.
+# Expected intensity over the mean below which pixels are left out of the noise factor.
 DARK = 0.1
 
 
 class NoPlaceError(ValueError):
-    """No height within the settings' bounds makes ripples of a wave."""
+    """No height within the settings' bounds fits ripples of this wave."""
 
 
 class Task(NamedTuple):
-    """What does not change while a clip is fitted."""
+    """Inputs that stay the same while a clip is fitted."""
 
     image: Image
     settings: RippleSettings
@@ -84,7 +85,7 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     ----------
     task : Task
     wave : ndarray (2,)
-        Where the spectrum has its peak, (east, north), cycles/m.
+        Wave vector of the spectrum's peak, (east, north), cycles/m.
 
     Returns
     -------
@@ -93,15 +94,15 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     Raises
     ------
     NoPlaceError
-        Where the prior has no place for it.
+        If no height within the prior's bounds fits it.
     """
     image = task.image
-    # of the two vectors of a wave, the one that the sonar looks along
+    # a wave has two vectors of opposite sign: take the one that points along the look
     boxes = demodulate(image, wave if wave @ image.look >= 0 else -wave)
     boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
     phase = straight(image, boxes)
     seen = fitted(task, phase, boxes.trend, glance)
-    # shadow and lean turn the fundamental with range; that is no bend of the crests
+    # shadow and lean turn the fundamental's phase with range, which is not a bend of the crests
     upright = turned_back(image, boxes, lag_over_range(seen))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
     trials = trial_fields(upright)
@@ -116,7 +117,7 @@ def fitted(
     trend: FloatArray,
     climb: Callable[[Histogram, Geometry], list[Peak]],
 ) -> Fit:
-    """Sum a clip over phase and range and climb to peaks of its posterior."""
+    """Bin a clip by phase and range and climb to peaks of its posterior."""
     data = histogram(task.image, trend, phase)
     geometry = clip_geometry(task, phase, data)
     peaks = climb(data, geometry)
@@ -126,10 +127,10 @@ def fitted(
 
 
 def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
-    """Gather what the likelihood needs besides the histogram."""
+    """Collect the likelihood's inputs other than the histogram."""
     image, settings, prior = task.image, task.settings, task.prior
     along, across = (float(v) for v in phase.mean_wave)
-    # refined, crests that the sonar looks along may turn past the look
+    # refinement may turn a wave seen along its crests past the perpendicular to the look
     along = max(along, LEAST_ALONG * abs(across))
     lattice = POINT_SPREAD * image.pixel_size * along
     pixels = data.pixel_count.sum(axis=1)
@@ -140,7 +141,8 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     if law is not None:
         fixed[:2] = law
     rule = CREST if settings.shadow == "crest" else LINE_OF_SIGHT
-    # no slope within the prior, of a peaked profile too, is as steep as the lowest ray
+    # no shadow if no slope within the prior, even of a peaked profile, is as steep as the lowest
+    # ray
     slope = min(2 * np.pi * float(np.hypot(along, across)) * prior.bounds[1][1], 1.0)
     if PEAKED_SLOPE * slope < float((data.altitude / data.ground_range).min()):
         rule = 0
@@ -168,9 +170,9 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
 
 
 def refined(task: Task, fit: Fit) -> Fit:
-    """Take off the trend that the fit leaves, temper it by the speckle, and go on.
+    """Remove the trend that the fit leaves, weigh the pixels by speckle and errors, and fit again.
 
-    The first trend is told without knowing the pulse and takes up a part of it at a clip's edges.
+    The first trend is estimated without the pulse and absorbs part of it at the clip's edges.
     """
     image, phase = task.image, fit.phase
     used = image.valid & phase.pixels(phase.covered, image.shape)
@@ -203,13 +205,13 @@ def refined(task: Task, fit: Fit) -> Fit:
 
 
 def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
-    """Tell anew what the model may be wrong by at a fit's likeliest peak, and climb on.
+    """Estimate the model's errors again at a fit's likeliest peak, and climb on.
 
     Parameters
     ----------
     fit : Fit
     whole : Histogram
-        Of whole pixels.
+        With all pixels of weight 1.
     pixel_size : float
         m.
 
@@ -226,7 +228,7 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
 
 
 def explained(fit: Fit) -> float:
-    """Log likelihood of a fit over that of a flat sea floor of the same gains."""
+    """Log likelihood ratio of a fit to a flat sea floor with gains for the same groups."""
     data = fit.data
     means = expected_at(fit, fit.z)[0]
     count, total = (
@@ -239,7 +241,7 @@ def explained(fit: Fit) -> float:
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
-    """Spread bins (blocks, bins) over the pixels that are used, times the trend; 0 elsewhere."""
+    """Spread means of bins (blocks, bins) over the used pixels, times the trend; 0 elsewhere."""
     model = paint_pixels(
         used,
         image.ground_range,
@@ -252,6 +254,6 @@ def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> Float
 
 
 def reoptimised(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:
-    """Climb on from a fit's peaks on another histogram or geometry."""
+    """Climb on from a fit's peaks with another histogram or geometry."""
     peaks = distinct([fisher_scoring(p.z, data, geometry, rounds) for p in fit.peaks], PEAKS)
     return fit._replace(data=data, geometry=geometry, peaks=peaks)

@@ -11,11 +11,11 @@ from sasmap.ripples.image import Image
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Amplitudes are clipped at this many times their trend (Rayleigh speckle exceeds it in 1e-4 of
+# Amplitudes are clipped at this multiple of their trend (Rayleigh speckle exceeds it in 1e-4 of
 # pixels).
 CAP = 3.5
-# Blocks a side to which the trend is fitted, and degree of its polynomial: smoother than 3.5 waves
-# per clip.
+# Number of blocks along a side to which the trend is fitted, and degree of its polynomial, which is
+# smoother than 3.5 waves per clip.
 BLOCKS, DEGREE = 16, 4
 # Least trend over the mean amplitude; bounds of a ping's gain.
 LEAST_TREND, GAINS = 0.1, (0.2, 5.0)
@@ -23,7 +23,7 @@ LEAST_TREND, GAINS = 0.1, (0.2, 5.0)
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _block_sums(power, valid, row_block, column_block):  # type: ignore[no-untyped-def]
-    """Sum amplitudes and count valid pixels by blocks; the amplitude is returned as well."""
+    """Sum amplitudes and count valid pixels in blocks; return the amplitude as well."""
     rows, columns = power.shape
     amplitude = np.zeros((rows, columns))
     total = np.zeros((row_block[-1] + 1, column_block[-1] + 1))
@@ -84,9 +84,10 @@ def _without_gains(level, valid, gains, per_pixel):  # type: ignore[no-untyped-d
 
 
 def _trend(total: FloatArray, count: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Polynomial of degree 4 in row and column through the means of blocks.
+    """Fit a polynomial of degree 4 in row and column to the means of blocks.
 
-    Returns its coefficients (powers of the row's, powers of the column's coordinate, -1 to 1).
+    Returns its coefficients (powers of the row coordinate, powers of the column coordinate), both
+    coordinates from -1 to 1.
     """
     used = count > 0.1 * count.max()
     mean = total / np.maximum(count, 1)
@@ -121,7 +122,7 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
     Returns
     -------
     flat : ndarray (rows, columns)
-        Amplitude over its smooth trend and over the mean along each ping, less 1; 0 where not
+        Amplitude over its smooth trend and over the mean along each ping, minus 1; 0 where not
         valid.
     gains : ndarray (pings,)
         The means, one per pixel across the look; 1 where there is none.
@@ -142,7 +143,7 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
 
 
 def _pings(image: Image) -> tuple[FloatArray, int]:
-    """Pings per column and row, that of the first pixel, and their number: a pixel across each."""
+    """Pings per column, per row, and at the first pixel, and their number; one is a pixel wide."""
     across = np.array([image.look[1], -image.look[0]]) @ image.steps / image.pixel_size
     ends = across * (np.array(image.shape[::-1]) - 1)
     first = -float(np.minimum(ends, 0).sum())

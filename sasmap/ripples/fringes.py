@@ -1,8 +1,8 @@
 """Gain that varies over range: bands along the track whose spacing follows the grazing angle.
 
-Lobes of a vertical beam pattern and the fringes of multipath (Lloyd's mirror) are evenly spaced in
-angle, or nearly: on the sea floor their spacing grows with the square of the range. Ripples are
-evenly spaced in range. Over a clip from 30 to 45 m the spacing of bands doubles.
+Lobes of a vertical beam pattern and the fringes of multipath (Lloyd's mirror) are more or less
+evenly spaced in angle: on the sea floor their spacing grows with the square of the range. Ripples
+are evenly spaced in range. Over a clip from 30 to 45 m the spacing of bands doubles.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ BoolArray = NDArray[np.bool_]
 # Largest angle between the normal of bands and the look, degrees: bands run along the track, and
 # the direction of four waves is known to within a degree or two.
 ALONG = 3.0
-# Least correlation of the profiles of the two halves of the track, speckle apart: nine in ten
-# simulated clips of bands have 0.8 and more, forked ripples that pass for bands otherwise 0.4 and
-# 0.5 (pipelines/ripples/lookalikes.py, as the next).
+# Least correlation of the profiles of the two halves of the track, corrected for speckle: nine in
+# ten simulated clips of bands have 0.8 and more, forked ripples that otherwise pass for bands 0.4
+# and 0.5 (pipelines/ripples/lookalikes.py, also for the next).
 ALIKE = 0.7
-# Least share of what the halves have in common that one wave over the grazing angle explains, and
-# largest share that one over range explains, relative to it. Bands whose spacing changes by half or
-# more have 0.87 and more, and at most 0.4 of it in three of four clips; ripples with crests along
-# the track 1.2 and more, with wavelengths that drift by 15 % 0.86 and more.
+# Least share of the halves' covariance that one wave over the grazing angle explains, and largest
+# share that one over range explains, relative to it. Bands whose spacing changes by half or more
+# have a share of 0.87 and more, and a relative share of at most 0.4 in three of four clips; ripples
+# with crests along the track have a relative share of 1.2 and more, with wavelengths that drift by
+# 15 % one of 0.86 and more.
 EXPLAINED, IN_RANGE = 0.8, 0.75
-# Pixels per bin of range, and steps of the number of waves (choices: a sixth of the shortest wave
+# Pixels per bin of range, and step of the number of waves (choices: a sixth of the shortest wave
 # that is detected well, and a tenth of the width of a peak).
 BIN, STEP = 4.0, 0.1
-# Numbers of waves in a clip that are tried: fewer are trends, more have bins too wide.
+# Smallest and largest number of waves in a clip that is tried: fewer are trends, and bins are too
+# wide for more.
 FEWEST, MOST = 3.0, 15.0
 
 
@@ -41,14 +43,14 @@ def follows_grazing(image: Image, flat: FloatArray, normals: FloatArray) -> bool
     ----------
     image : Image
     flat : ndarray (rows, columns)
-        Amplitude over its trend, less 1; 0 where not valid.
+        Amplitude over its trend, minus 1; 0 where not valid.
     normals : ndarray (waves, 2)
         Wave vectors (east, north), cycles/m.
 
     Returns
     -------
     bool
-        False where the clip spans too little of the range to tell.
+        False where the clip spans too little range to decide.
     """
     cosine = np.abs(normals @ image.look) / np.hypot(normals[:, 0], normals[:, 1])
     if not np.all(cosine > np.cos(np.radians(ALONG))):
@@ -71,7 +73,7 @@ def follows_grazing(image: Image, flat: FloatArray, normals: FloatArray) -> bool
 
 
 def _alike(apart: FloatArray, speckle: FloatArray, share: FloatArray) -> bool:
-    """Whether two profiles (2, bins), to which speckle adds variances, are the same."""
+    """Whether two profiles (2, bins) agree, given the variances that speckle adds to them."""
     own = (apart**2 - speckle) @ share
     common = float(share @ (apart[0] * apart[1]))
     return bool(own.min() > 0 and common > ALIKE * np.sqrt(own[0] * own[1]))
@@ -99,7 +101,8 @@ def _profiles(
 def _explained(place: FloatArray, apart: FloatArray, share: FloatArray) -> float:
     """Share of the covariance of two profiles (2, bins) that one wave over `place` explains.
 
-    `share` (bins,) weighs the bins; speckle and crests that are not straight are not in common.
+    `share` (bins,) weighs the bins. Speckle and crests that are not straight do not contribute to
+    the covariance.
     """
     common = float(share @ (apart[0] * apart[1]))
     used = place[share > 0]

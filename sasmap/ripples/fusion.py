@@ -4,8 +4,8 @@ The likelihood of (f, A_H, azimuth) from a look, under the survey's law, is a Ga
 posterior after several looks is the product of their likelihoods, each widened by a scatter for
 change and misregistration, and of the prior (Zare and Cobb 2013, 4.2: the posterior after one look
 is the prior of the next). It does not depend on the order of looks. It is averaged over the
-posterior of the shared parameters. Looks without a common value are not combined: the largest group
-that agrees is used for the cell.
+posterior of the shared parameters. Looks that contradict each other are not combined: the largest
+group that agrees is used for the cell.
 
 The published method passes a Gaussian of fixed width from look to look instead.
 """
@@ -30,9 +30,9 @@ from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.summary import NAN, Summary
 from sasmap.ripples.survey import LEAST_LOOKS, MOST_SEDIMENTS, SurveyModel, learn, numbered
 
-# Standard deviations that Zare and Cobb (2013) set by hand: cycles/m and m.
+# Standard deviations of f and A_H that Zare and Cobb (2013) set by hand: cycles/m and m.
 PUBLISHED_SD = (0.003, 0.17)
-# Cells that are combined at once: bounds memory.
+# Number of cells that are combined at once, to bound memory.
 CHUNK = 200
 
 
@@ -56,11 +56,11 @@ class FusedCell:
         passes' registration removed. NaN for looks outside the group.
     quality : Quality
     qualities : tuple of Quality
-        Of each look; a look that disagrees with the cell's group has CONTRADICTION, and so have
-        all where no majority agrees.
+        Quality of each look; a look that disagrees with the cell's group has CONTRADICTION, and all
+        looks have it where no majority agrees.
     registration : tuple of (float, float)
-        Shift of each pass over the map, east and north, m, from the crests of all cells; empty
-        where they do not agree on one.
+        Shift of each pass relative to the map, east and north, m, from the crests of all cells;
+        empty where they do not agree on one.
     """
 
     priors: tuple[CellEstimate, ...]
@@ -85,11 +85,11 @@ def learn_survey(
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell one per swath, None where it does not show the cell.
+        For each cell one per swath, None where the swath does not show the cell.
     settings : RippleSettings
     seed : int
     classes : sequence of int, optional
-        Mapped sediment of each cell, from 1; 0 where it is of several or of none.
+        Mapped sediment of each cell, from 1; 0 where it has several or none.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def learn_survey(
 def _with_laws(
     cells: Sequence[Sequence[Summary | None]], classes: Sequence[int] | None
 ) -> tuple[int, ...]:
-    """Choose the mapped classes with enough good looks for a law of their own; none if one has."""
+    """Choose the mapped classes with enough good looks for their own law; none if only one has."""
     if classes is None:
         return ()
     count: Counter[int] = Counter()
@@ -123,7 +123,7 @@ def fuse(
     settings: RippleSettings,
     survey: SurveyModel | None = None,
 ) -> FusedCell:
-    """Combine the looks at one cell: :func:`fuse_cells` of it alone."""
+    """Combine the looks at one cell, as :func:`fuse_cells` does for several."""
     return fuse_cells([summaries], settings, survey)[0]
 
 
@@ -138,10 +138,10 @@ def fuse_cells(
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell one per swath, None where it does not show the cell.
+        For each cell one per swath, None where the swath does not show the cell.
     settings : RippleSettings
     survey : SurveyModel, optional
-        Shared parameters; estimated from these cells if not given.
+        Shared parameters; estimated from these cells by default.
     classes : sequence of int, optional
         Mapped sediment of each cell, as in :func:`learn_survey`.
 
@@ -153,7 +153,7 @@ def fuse_cells(
         return [_published(summaries, settings) for summaries in cells]
     survey = survey or learn_survey(cells, settings, classes=classes)
     sediment = numbered(classes, survey.sediments)
-    # cells whose looks have equally many components go together, so that there is little padding
+    # process cells together whose looks have equally many components, so that padding is small
     size = [max((len(s.mixture) for s in c if s is not None), default=0) for c in cells]
     order = np.argsort(size, kind="stable")
     found: dict[int, FusedCell] = {}
@@ -166,7 +166,7 @@ def fuse_cells(
 
 
 def _registered(fused: list[FusedCell]) -> list[FusedCell]:
-    """Separate shifts of passes, common to all cells, from the migration of crests."""
+    """Separate shifts of passes, which all cells share, from the migration of crests."""
     places = [
         (i, k)
         for i, c in enumerate(fused)
@@ -223,7 +223,7 @@ def _assembled(
     distances: dict[tuple[int, int], float],
     known: dict[int, CellEstimate],
 ) -> FusedCell:
-    """Assemble the result of a cell; `known` are the estimates after each look of the group."""
+    """Assemble the result of a cell; `known` has the estimates after each look of the group."""
     qualities = tuple(Quality.NO_DATA if s is None else s.quality for s in summaries)
     quality = cell_quality([s.quality for s in summaries if s is not None])
     looks = {k for k, q in enumerate(qualities) if q is Quality.GOOD}
@@ -263,7 +263,7 @@ def _assembled(
 def migrations(
     summaries: Sequence[Summary | None], group: tuple[int, ...], final: CellEstimate
 ) -> tuple[tuple[float, float], ...]:
-    """Distance of the crests of looks from those of the first of their group.
+    """Displacement of the crests of looks from those of the first look of their group.
 
     Parameters
     ----------
@@ -276,8 +276,8 @@ def migrations(
     Returns
     -------
     tuple of (float, float)
-        m along the azimuth from 0 to 180 degrees, from minus half to half a wavelength, and its
-        standard deviation, of each look.
+        For each look, displacement in m along the azimuth from 0 to 180 degrees, from minus half to
+        half a wavelength, and its standard deviation.
     """
     nothing = (NAN, NAN)
     if not group or not np.isfinite(final.mean[0]):
@@ -328,7 +328,7 @@ def _steepness(settings: RippleSettings) -> tuple[float, float]:
 
 
 def _doubtful(summaries: Sequence[Summary | None]) -> tuple[tuple[int, ...], CellEstimate]:
-    """Choose the look that is nearest to convergence: a flagged value is better than none."""
+    """Choose the look nearest to convergence: a flagged value is better than none."""
     found = {
         k: float(np.nan_to_num(min(s.ess_bulk)))
         for k, s in enumerate(summaries)
@@ -354,8 +354,8 @@ def next_prior(earlier: Sequence[Summary | None], settings: RippleSettings) -> P
     Returns
     -------
     Prior
-        The survey's flat prior: likelihoods are multiplied afterwards. With the published method
-        the last posterior, as a Gaussian of fixed width.
+        The survey's own prior, as likelihoods are multiplied afterwards. With the published method,
+        the last posterior as a Gaussian of fixed width; a flat prior before the first.
     """
     index = _last_published(earlier) if settings.method == "zare-cobb" else None
     last = None if index is None else earlier[index]

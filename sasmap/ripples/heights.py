@@ -1,6 +1,7 @@
-"""Looks in A_H rather than contrast, under the shared parameters of a survey.
+"""Looks expressed in A_H rather than contrast, given the shared parameters of a survey.
 
-Loops are compiled: the second stage expresses each look under every draw of what is shared.
+Loops are compiled, as the second stage does this for each look and every draw of the shared
+parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Told(NamedTuple):
-    """What :func:`to_height` takes of N looks of K components.
+    """Inputs of :func:`to_height` from N looks with K components each.
 
     Attributes
     ----------
@@ -28,8 +29,9 @@ class Told(NamedTuple):
     law_linear, law_precision : ndarray (N, K, 2), (N, K, 2, 2)
         Of the likelihoods of the law.
     by_shape : ndarray (N,)
+        As in :class:`sasmap.ripples.looks.LawLikelihood`.
     contrast : ndarray (N, 3)
-        Contrast per slope: its parts by n and by c, and that of every law.
+        Contrast per slope: coefficients of n and of c, and the part that is independent of the law.
     """
 
     level: FloatArray
@@ -42,7 +44,7 @@ class Told(NamedTuple):
 
 
 def told_by(looks: Looks) -> Told:
-    """Return what :func:`to_height` takes of looks."""
+    """Return the inputs of :func:`to_height` from looks."""
     n, k = looks.factor.level.shape
     law = looks.law
     tangent = looks.tangent
@@ -61,7 +63,7 @@ def told_by(looks: Looks) -> Told:
 
 
 def raised(looks: Looks, shared: Shared) -> FloatArray:
-    """Error of log A_H (N,) from the altitude offsets of the looks' swaths."""
+    """Shift of log A_H (N,) due to the altitude offsets of the looks' swaths."""
     return np.asarray(looks.altitude_gain * shared.offset[looks.swath] / looks.altitude)
 
 
@@ -94,7 +96,7 @@ def without_scatter(looks: Looks, shared: Shared) -> Information:
     Returns
     -------
     Information (N, K)
-        As :func:`at_height`.
+        Over the coordinates of :func:`at_height`.
     """
     told = told_by(looks)
     level, linear, precision = (np.empty(v.shape) for v in looks.factor)
@@ -137,7 +139,7 @@ def of_look(shared: Shared) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def to_height(told, r, k, raised_by, law, gain, shift, linear, precision):  # type: ignore[no-untyped-def]
-    """Express component k of look r in A_H, through the survey's law and altitude.
+    """Express component k of look r in A_H, using the survey's law and altitude.
 
     `law` and `gain` are the mean and precision of the law, `shift` its bias from the echo shape.
     Fills in the linear term and precision, and returns the level.
@@ -156,7 +158,7 @@ def to_height(told, r, k, raised_by, law, gain, shift, linear, precision):  # ty
         level += first * (at[0] - 0.5 * push[0]) + second * (at[1] - 0.5 * push[1])
         linear[3] -= push[0]
         linear[4] -= push[1]
-        # the look's law under the survey's, about which contrast is linear in the law
+        # the look's law given the survey's: log contrast is linearised in the law there
         a, b, d = own[0, 0] + gain[0], own[0, 1], own[1, 1] + gain[1]
         x, y = at[0] - push[0] + gain[0] * law[0], at[1] - push[1] + gain[1] * law[1]
         determinant = a * d - b * own[1, 0]

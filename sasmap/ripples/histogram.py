@@ -25,12 +25,12 @@ from sasmap.ripples.rendering import Histogram
 
 FloatArray = NDArray[np.float64]
 
-# Blocks of range over which one pulse is rendered: at 4 m the slope of the ray changes by a quarter
-# over a metre, and a pulse rendered anew each quarter of a metre moved A_H by 2 %.
+# Length of the blocks of range: least, m, and over range. At 4 m the slope of the ray changes by a
+# quarter over a metre, and rendering a pulse every quarter of a metre changed A_H by 2 %.
 LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.035
-# Groups of range that have a gain of their own are a wavelength long, and at most so many.
+# Most groups of range with a gain of their own, each at least a wavelength long.
 MOST_GROUPS = 8
-# Bins of phase a pixel along the look, and their least and largest number.
+# Bins of phase per pixel along the look, and their least and largest number.
 BINS_A_PIXEL, LEAST_BINS, MOST_BINS = 1.25, 16, 64
 
 
@@ -40,7 +40,7 @@ def range_edges(nearest: float, farthest: float) -> FloatArray:
     Parameters
     ----------
     nearest, farthest : float
-        Of the pixels, m.
+        Ground ranges of the nearest and farthest pixel, m.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
     ----------
     image : Image
     trend : ndarray (box rows, box columns)
-        Local mean intensity of the phase field's boxes.
+        Local mean intensity in the phase field's boxes.
     phase : PhaseField
 
     Returns

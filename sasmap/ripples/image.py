@@ -1,4 +1,4 @@
-"""A clip on a regular lattice: its intensity, and where each pixel lies from the clip's centre."""
+"""A clip on a regular lattice: intensity, and positions of pixels from the clip's centre."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from sasmap.ripples.clip import Clip, mean_look, normalised
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Pixels off a straight lattice by more than this (in pixels) are summed onto one.
+# Largest deviation of pixels from a straight lattice, in pixels, above which they are averaged onto
+# a regular one.
 MAX_BEND = 0.3
-# More than this share of pixels at the largest value: the receiver or the file saturated.
+# Share of pixels at the largest value above which the receiver or the file counts as saturated.
 MIN_SATURATED = 1e-4
+# Most pixels to which a lattice is fitted.
 LATTICE_SAMPLES = 4000
-# Pixels that were brought to the nearest place of a lattice lie this far from it (standard
-# deviation of a uniform law, pixels).
+# Deviation of pixels from the lattice after rounding to its nearest point (standard deviation of a
+# uniform distribution, pixels).
 ROUNDED = 0.29
 
 
@@ -42,11 +44,11 @@ class Image:
     azimuth : float
         Mean look, degrees clockwise from grid north.
     rms : float
-        Root of what `power` was divided by, in units of the amplitude.
+        Root of the mean intensity that `power` was divided by, in units of the amplitude.
     centre : ndarray (2,)
         Map position (east, north) of the lattice's centre, m.
     jitter : float
-        How far pixels lie from the lattice, pixels (standard deviation).
+        Deviation of pixels from the lattice, pixels (standard deviation).
     """
 
     power: FloatArray
@@ -73,7 +75,7 @@ class Image:
 
     @property
     def pixel_size(self) -> float:
-        """Root of a pixel's area, m."""
+        """Square root of a pixel's area, m."""
         return float(np.sqrt(abs(np.linalg.det(self.steps))))
 
     @cached_property
@@ -92,7 +94,7 @@ class Image:
         return np.asarray(per_column * column + per_row * row)
 
     def extent(self, direction: FloatArray) -> tuple[float, float]:
-        """Where the valid pixels begin along a unit vector (east, north), and their length, m."""
+        """Start and length, m, of the valid pixels along a unit vector (east, north)."""
         rows, columns = (
             np.flatnonzero(self.valid.any(axis=1)),
             np.flatnonzero(self.valid.any(axis=0)),
@@ -105,21 +107,21 @@ class Image:
 
     @cached_property
     def mean_range(self) -> float:
-        """Ground range at the clip's centre, by that of the valid pixels, m."""
+        """Ground range at the clip's centre, from that of the valid pixels, m."""
         offset = self.project(self.look)[self.valid].mean()
         return float(self.ground_range[self.valid].mean() - offset)
 
     def per_pixel(self, wave: FloatArray) -> FloatArray:
-        """Cycles a column and a row of a wave vector (east, north) in cycles/m."""
+        """Convert a wave vector (east, north) in cycles/m to cycles per column and row."""
         return np.asarray(wave @ self.steps)
 
     def per_metre(self, wave: FloatArray) -> FloatArray:
-        """Wave vector (east, north), cycles/m, of cycles a column and a row."""
+        """Convert cycles per column and row to a wave vector (east, north) in cycles/m."""
         return np.asarray(np.linalg.solve(self.steps.T, wave))
 
 
 def as_image(clip: Clip) -> Image:
-    """Lay a clip on a regular lattice: its own where that is straight, else a north-up one.
+    """Put a clip on a regular lattice: its own if that is straight, else a north-up one.
 
     Parameters
     ----------
@@ -129,8 +131,8 @@ def as_image(clip: Clip) -> Image:
     Returns
     -------
     Image
-        Slant-range tiles show uneven steps of sea floor: their pixels are summed onto a lattice of
-        the clip's pixel size (the mean of those that share a place).
+        Slant-range tiles have uneven steps on the sea floor: their pixels are averaged onto a
+        lattice of the clip's pixel size.
     """
     valid = clip.valid
     power, mean = normalised(clip, valid)
@@ -154,7 +156,7 @@ def _saturated(amplitude: FloatArray, valid: BoolArray) -> BoolArray:
 
 
 def lattice(clip: Clip) -> tuple[FloatArray, FloatArray]:
-    """Straight lattice nearest to a clip's pixels.
+    """Fit a straight lattice to the positions of a clip's pixels.
 
     Parameters
     ----------
@@ -224,13 +226,13 @@ def _summed(
 
 
 def on_clip(clip: Clip, image: Image, values: FloatArray) -> FloatArray:
-    """Take values of an image's pixels to those of the clip that it is of.
+    """Transfer values from an image's lattice back to the pixels of its clip.
 
     Parameters
     ----------
     clip : Clip
     image : Image
-        The clip's.
+        Image of the clip.
     values : ndarray (rows, columns)
         On the image's lattice.
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# Log of the weight, over the heaviest's, below which a component of a product of looks is dropped:
-# looks that agree do not differ by as much, so it cannot become one that counts.
+# Negative log of the weight, relative to the heaviest, below which a component of a product of
+# looks is dropped: looks that agree do not differ by as much, so that it stays negligible.
 SLIGHTEST = 16.0
 
 
@@ -41,7 +41,7 @@ def widened(factor: Information, sd: FloatArray) -> Information:
     ----------
     factor : Information (..., K)
     sd : ndarray (..., K, D)
-        Above 0; broadcasts.
+        Standard deviations, above 0; broadcasts.
 
     Returns
     -------
@@ -89,10 +89,10 @@ def products(
     factor : Information (N, K)
         Sorted by group.
     ends : ndarray of int (groups,)
-        Where each group ends.
+        Index after the last row of each group.
     prior : Information (1,)
     most : int
-        Components of a product that are kept, the heaviest.
+        Most components of a product that are kept, the heaviest ones.
 
     Returns
     -------
@@ -107,8 +107,8 @@ def products(
     return result
 
 
-# Loops over many matrices of three or five rows, for which the calls into LAPACK cost more than
-# the arithmetic: the second stage is ten times as fast with them.
+# Compiled loops over many matrices of three or five rows, for which calls into LAPACK cost more
+# than the arithmetic: the second stage is ten times as fast with the loops.
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -124,7 +124,8 @@ def add(linear, precision, prior_linear, prior_precision, vector, matrix):  # ty
 def integral(level, vector, matrix, pivots):  # type: ignore[no-untyped-def]
     """Log integral of a factor; minus infinity where it has none.
 
-    The matrix is factorised in place into L D L^T, D goes to `pivots`, and L^-1 to `vector`.
+    The matrix is factorised in place into L D L^T, D is stored in `pivots`, and `vector` becomes
+    L^-1 `vector`.
     """
     determinant = 1.0
     for j in range(pivots.size):
@@ -148,7 +149,7 @@ def integral(level, vector, matrix, pivots):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def substitute(matrix, pivots, vector):  # type: ignore[no-untyped-def]
-    """Solve in place what :func:`integral` has left of a system: D L^T x = vector."""
+    """Solve D L^T x = vector in place, after :func:`integral`, to complete the system."""
     for i in range(vector.size - 1, -1, -1):
         vector[i] /= pivots[i]
         for k in range(i + 1, vector.size):
@@ -157,7 +158,7 @@ def substitute(matrix, pivots, vector):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def invert(matrix, pivots, column, inverse):  # type: ignore[no-untyped-def]
-    """Fill in the leading rows and columns of the inverse of what :func:`integral` factorised."""
+    """Fill in the leading block of the inverse of a matrix that :func:`integral` factorised."""
     for j in range(len(inverse)):
         column[:] = 0.0
         column[j] = 1.0
@@ -172,7 +173,8 @@ def invert(matrix, pivots, column, inverse):  # type: ignore[no-untyped-def]
 def blur(level, linear, precision, variance, column):  # type: ignore[no-untyped-def]
     """Convolve a factor in place with independent Gaussians, one after the other.
 
-    P - P (P + W)^-1 P = W - W (P + W)^-1 W loses digits where W is large: the former.
+    The new precision is P - P (P + W)^-1 P = W - W (P + W)^-1 W; the latter form loses digits where
+    W is large, so that the former is used.
     """
     size = linear.size
     ratios = 1.0
@@ -223,11 +225,11 @@ def _moments(level, linear, precision, result, mean, covariance):  # type: ignor
 def multiply(  # type: ignore[no-untyped-def]
     count, kept, heavy, level, linear, precision, prior, room, new_linear, new_precision
 ):
-    """Multiply a product of looks by one more; of its components keep the heaviest.
+    """Multiply a product of looks by one more look and keep the heaviest components.
 
-    `kept` are level, linear term and precision of the `count` components of the product, and
+    `kept` holds level, linear term and precision of the `count` components of the product, and
     `heavy` their log integrals under the prior, both changed in place; `prior` is level, linear
-    term and precision. The rest is room to work in. Returns the new number of components.
+    term and precision. The other arrays are workspace. Returns the new number of components.
     """
     most, components, size = heavy.size, level.size, linear.shape[1]
     kept_level, kept_linear, kept_precision = kept
@@ -264,7 +266,7 @@ def multiply(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def begin(kept):  # type: ignore[no-untyped-def]
-    """Make the product of no looks, of one component, in place."""
+    """Initialise the product of no looks, which has one component, in place."""
     level, linear, precision = kept
     level[0] = 0.0
     linear[0] = 0.0
@@ -273,7 +275,7 @@ def begin(kept):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def workspace(most, components, size):  # type: ignore[no-untyped-def]
-    """Arrays that :func:`multiply` works in."""
+    """Allocate the workspace of :func:`multiply`."""
     n = most * components
     room = np.empty(n), np.empty(n), np.empty((size, size)), np.empty(size), np.empty(size)
     return room, np.empty((n, size)), np.empty((n, size, size))

@@ -9,7 +9,7 @@ divided out, so that looks with a common cell or law are multiplied by adding.
 A look informs the law in two ways. Where geometry (shadow) determines A_H, contrast gives the slope
 of the law. Elsewhere only the shape of the echo over a wavelength, its harmonics, depends on the
 law: on its curvature, which the family ties to n and c. A law outside the family biases all those
-looks alike; this bias is one of the survey's shared parameters.
+looks the same way; this bias is one of the survey's shared parameters.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ FloatArray = NDArray[np.float64]
 # Sampling prior of the law: mean and variance of n and c.
 LAW_MEAN = np.array([EXPONENT[0], CONCENTRATION[0]])
 LAW_VARIANCE = np.array([EXPONENT[1], CONCENTRATION[1]]) ** 2
-# Least share of the variance of log contrast that remains when altitude is known (a choice: keeps
-# it positive).
+# Least share of the variance of log contrast that remains when altitude is known (a choice: it
+# keeps the variance positive).
 REMAINING = 0.1
 # Bias of n and c from the echo shape where the law is outside the family, standard deviations for
 # the survey and again for each look: a law with a critical angle biases n by -0.7. Error of log
@@ -43,10 +43,10 @@ SHIFT_SD, LOCAL_LAW = np.array([0.8, 0.5]), 0.05
 # 1.1 (pipelines/ripples/surveys.py).
 LEAST_KNOWN, MOST_KNOWN = 0.5, 0.8
 LOG_F, LOG_HEIGHT, AZIMUTH, LAW = 0, 1, 2, slice(3, 5)
-# A component of a posterior must know more than its prior: least eigenvalue of what it tells beyond
-# the prior, in its own standard deviations.
+# Least eigenvalue of a component's precision beyond that of the prior, in units of the component's
+# own standard deviations: a component must be narrower than its prior.
 LEAST_TOLD = 0.01
-# Standard deviation in constant of zero; log evidence of the impossible.
+# Standard deviation in place of zero; log evidence in place of minus infinity.
 NONE, LEAST_LEVEL = 1e-12, -1e9
 
 
@@ -60,7 +60,7 @@ class Shared(NamedTuple):
     shift : ndarray (2,)
         Bias of n and c from the echo shape.
     offset : ndarray (swaths,)
-        True altitude less that of the navigation, m.
+        True altitude minus that of the navigation, m.
     scatter : ndarray (3,)
         Change and misregistration between passes: standard deviations of log f, log A_H and
         azimuth (degrees).
@@ -86,7 +86,7 @@ class LawLikelihood(NamedTuple):
     Attributes
     ----------
     level, linear, precision : ndarray (N, K), (N, K, 2), (N, K, 2, 2)
-        As :class:`Information`, of n and c.
+        As in :class:`Information`, over n and c.
     by_shape : ndarray (N,)
         1 where the echo shape determines the law, 0 where geometry determines A_H and so the law.
     """
@@ -104,14 +104,14 @@ class Looks(NamedTuple):
     ----------
     cell, swath : ndarray of int (N,)
     sediment : ndarray of int (N,)
-        Place of the cell's sediment among those with a law of their own, from 1; 0 for others.
+        Number of the cell's sediment among those with a law of their own, from 1; 0 for others.
     factor : Information (N, K)
         Likelihood over log f, log contrast, azimuth (degrees), n and c; where the law is fixed,
         over log f, log A_H and azimuth.
     law : LawLikelihood or None
         None where the law is fixed.
     tangent, altitude : ndarray (N,)
-        Of the grazing angle, and of the sonar, m, at the clip's middle.
+        Tangent of the grazing angle, and altitude of the sonar, m, at the clip's middle.
     altitude_gain : ndarray (N,)
         Change of log A_H with log altitude.
     altitude_sd : ndarray (N,)
@@ -151,12 +151,12 @@ def collect(
     Parameters
     ----------
     cells : sequence of sequence of Summary or None
-        Of each cell, one per swath.
+        For each cell, one per swath.
     steepness : tuple of float
-        Sampling prior: median and log standard deviation of crest to trough over wavelength;
-        infinite for none.
+        Sampling prior: median and log standard deviation of crest to trough over wavelength; the
+        latter infinite for no prior.
     sediments : ndarray of int (cells,), optional
-        Of each cell, as :attr:`Looks.sediment`; all 0 if not given.
+        Sediment of each cell, as in :attr:`Looks.sediment`; all 0 by default.
 
     Returns
     -------
@@ -206,7 +206,7 @@ def collect(
 
 
 def _turn_to_one_axis(cell: NDArray[np.int64], weight: FloatArray, mean: FloatArray) -> None:
-    """Turn azimuths, which are axial, to within 90 degrees of their cell's mean; in constant."""
+    """Turn azimuths, which are axial, in place to within 90 degrees of their cell's mean."""
     twice = np.radians(2 * (weight * mean[:, :, AZIMUTH]).sum(axis=1))
     sines, cosines = (np.bincount(cell, v) for v in (np.sin(twice), np.cos(twice)))
     centre = 0.5 * np.degrees(np.arctan2(sines, cosines))
@@ -218,7 +218,7 @@ def _altitude_told(covariance: FloatArray, sd: FloatArray) -> FloatArray:
     """Remove the altitude error that a swath's looks share from the error of log contrast."""
     variance = covariance[:, :, LOG_HEIGHT, LOG_HEIGHT]
     left = np.maximum(variance - sd[:, None] ** 2, REMAINING * variance)
-    # its covariances are scaled as well, so that the matrix stays positive
+    # covariances are scaled as well, so that the matrix stays positive definite
     scale = np.ones(covariance.shape[:3])
     scale[:, :, LOG_HEIGHT] = np.sqrt(left / variance)
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
@@ -233,9 +233,10 @@ def _likelihood(
 ) -> Information:
     """Posterior components divided by the priors of law and steepness.
 
-    A component that is wider than the priors somewhere, as one fitted to draws may be, would leave
-    a likelihood that grows without bound there, and a mean far away in all directions. It says next
-    to nothing in such a direction, and its mass under the priors is the weight that it has.
+    A component fitted to draws may be wider than the priors in some direction. Its likelihood would
+    grow without bound there, and its mean would be far away in all directions. Such a component
+    constrains next to nothing in that direction: its precision is set to a small value there, and
+    its mass under the priors to its weight.
     """
     prior = _priors(mean, tangent, steepness)
     precision: FloatArray = np.asarray(np.linalg.inv(covariance), float)
@@ -250,7 +251,7 @@ def _likelihood(
     wide = values < LEAST_TOLD
     if not wide.any():
         return told
-    # along its axes, in units of its standard deviations
+    # along the axes, in units of the component's standard deviations
     values = np.maximum(values, LEAST_TOLD)
     along = np.einsum("nkij,nki->nkj", axes, scale * told.linear)
     there = np.einsum("nkij,nki->nkj", axes, mean / scale)
@@ -269,7 +270,7 @@ def _likelihood(
 
 
 def _priors(mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]) -> Information:
-    """Priors of steepness and law in the looks' coordinates, about their components' means."""
+    """Priors of steepness and law in the looks' coordinates, linearised at component means."""
     level, linear, precision = _steepness_of_looks(mean, tangent, steepness)
     if mean.shape[2] == 5:
         precision[:, :, LAW, LAW] += np.diag(1 / LAW_VARIANCE)
@@ -281,7 +282,7 @@ def _priors(mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float
 def _steepness_of_looks(
     mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]
 ) -> Information:
-    """Prior of steepness in the looks' coordinates, linearised about their means (N, K, D)."""
+    """Prior of steepness in the looks' coordinates, linearised at their means (N, K, D)."""
     median, sd = steepness
     if not np.isfinite(sd):
         return Information(
@@ -353,7 +354,7 @@ def _by_shape(
 
 
 def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:
-    """Log evidence (N,) of looks that are alone at their cells, which depends on their law only.
+    """Log evidence (N,) of looks that are alone at their cells, which depends only on their law.
 
     Parameters
     ----------
@@ -398,7 +399,7 @@ def law_factor(shared: Shared, with_law: bool) -> Information:
     Returns
     -------
     Information ()
-        Of one component.
+        With one component.
     """
     size = 5 if with_law else 3
     linear, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
@@ -418,12 +419,13 @@ def steepness_factor(size: int, steepness: tuple[float, float]) -> Information:
     size : int
         Number of coordinates.
     steepness : tuple of float
-        Median and log standard deviation of crest to trough over wavelength; infinite for none.
+        Median and log standard deviation of crest to trough over wavelength; the latter infinite
+        for no prior.
 
     Returns
     -------
     Information ()
-        Of one component.
+        With one component.
     """
     linear, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
     median, sd = steepness

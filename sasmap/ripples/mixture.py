@@ -1,4 +1,4 @@
-"""Gaussian mixtures of what a look knows: their fit to draws, and marginals."""
+"""Gaussian mixtures for the posterior of a look: their fit to draws, and marginals."""
 
 from __future__ import annotations
 
@@ -13,29 +13,30 @@ from sasmap.numerics.gaussians import Mixture, expectation_maximisation, log_den
 
 FloatArray = NDArray[np.float64]
 
+# Most components.
 MOST = 3
-# Independent draws that a posterior's draws count as when components are chosen.
+# Effective number of independent draws assumed when the number of components is chosen.
 EFFECTIVE = 400.0
-# Draws that a fit uses, evenly thinned: five times those that are independent.
+# Draws that a fit uses, evenly thinned: five times the number of independent ones.
 USED = 2000
-# Rounds of a fit, the gain in mean log likelihood at which it ends, and the least variance of
-# components, over that of all draws.
+# Most iterations of a fit, the gain in mean log likelihood at which it ends, and the least variance
+# of components, over that of all draws.
 ROUNDS, ENOUGH, FLOOR = 80, 1e-6, 1e-4
-# Standard deviations within which quantiles are looked for, steps at most, and the last of Newton's
-# steps over the width of where they are looked for: what is left is of the order of its square.
+# Search for quantiles: its range in standard deviations, most steps, and size of the last Newton
+# step over the width of the range; the remaining error is of the order of its square.
 REACH, STEPS, PRECISION = 12.0, 60, 1e-8
-# Quantiles, and that of 0.95 in standard deviations of a Gaussian, from where it is looked for.
+# Quantiles, and the 0.95 quantile of a standard Gaussian, at which the search starts.
 SHARES, TAIL = (0.05, 0.95), 1.645
 # Standard deviations beyond which a Gaussian has no mass in double precision: above, and below.
 CERTAIN, REACH_BELOW = 8.3, 38.5
-# Largest log of a moment: of components that have no weight.
+# Cap on the log of a moment, which only components of no weight reach.
 LARGEST = 200.0
-# A density with less of itself within its bounds lies outside.
+# Mass within the bounds below which a density counts as lying outside them.
 OUTSIDE = 1e-200
 
 
 def fit_mixture(points: FloatArray) -> Mixture:
-    """Fit a mixture to draws by expectation and maximisation; components as the draws call for.
+    """Fit a mixture to draws by expectation-maximisation, with as many components as needed.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def fit_mixture(points: FloatArray) -> Mixture:
     Returns
     -------
     Mixture
-        Of one to three components, by the Bayesian information criterion.
+        With one to three components, chosen by the Bayesian information criterion.
     """
     points = points[:: -(-len(points) // USED)]
     centre = points.mean(axis=0)
@@ -73,7 +74,7 @@ def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
     if n == 1:
         mixture = _moments(z)
         return mixture, float(log_densities(z, mixture)[:, 0].mean())
-    # starts as slices along the direction in which the draws are least like one Gaussian
+    # start from slices along the coordinate in which the draws are least Gaussian
     skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
@@ -97,9 +98,9 @@ def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: Floa
     Parameters
     ----------
     weight, mean, sd : ndarray (n, K)
-        Of the logs.
+        Of the mixtures of the logs.
     bounds : ndarray (2,) or (2, n)
-        Of the log.
+        Bounds of the logs.
 
     Returns
     -------
@@ -114,7 +115,7 @@ def marginals(weight: FloatArray, mean: FloatArray, sd: FloatArray, bounds: Floa
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def weighted(weight, values):  # type: ignore[no-untyped-def]
-    """Sum values (n, K) by weight (n, K), one after the other: padding changes no digit."""
+    """Weighted sums (n,) of values (n, K), in a fixed order, so that padding changes no digit."""
     result = np.zeros(len(weight))
     for r in range(weight.shape[0]):
         for k in range(weight.shape[1]):
@@ -144,7 +145,7 @@ def _summarise(weight, mean, sd, low, high, result):  # type: ignore[no-untyped-
             middle += w[k] * m[k]
         middle = min(max(middle, low[r]), high[r])
         result[:, r] = np.exp(middle)
-        if not total > OUTSIDE:  # all of it lies beyond a bound
+        if not total > OUTSIDE:  # the whole density lies beyond a bound
             result[1, r] = 0.0
             continue
         one, two, spread = 0.0, 0.0, 0.0
@@ -169,9 +170,9 @@ def _summarise(weight, mean, sd, low, high, result):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _quantile(weight, mean, sd, low, before, goal, start):  # type: ignore[no-untyped-def]
-    """Where the mass above `low` reaches `goal`: Newton's method within halved brackets.
+    """Value at which the mass above `low` reaches `goal`, by Newton's method with bisection.
 
-    `before` is the mass of each component below `low`, and `start` where to begin.
+    `before` is the mass of each component below `low`, and `start` the initial value.
     """
     left, right = np.inf, -np.inf
     for k in range(weight.size):

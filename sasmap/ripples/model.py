@@ -1,4 +1,4 @@
-"""The image that a posterior stands for, beside which the clip can be laid."""
+"""The modelled image of a posterior, for comparison with the clip."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from sasmap.ripples.rendered import Fit, expected_at
 
 FloatArray = NDArray[np.float64]
 
+# Number of draws that are averaged.
 DRAWS = 40
-# Pixels along crests, and across them at most, over which a patch's edge is told.
+# Window, in pixels, over which the edge of a patch is found: length along crests, and largest
+# length across them.
 NARROW, WIDEST = 9, 201
-# Share of pixels that have to be known there.
+# Least share of valid pixels in that window.
 FEW = 0.1
 # Mean amplitude of speckle over the root of its mean intensity.
 RAYLEIGH = float(np.sqrt(np.pi) / 2)
@@ -31,15 +33,15 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> FloatArr
     ----------
     clip : Clip
     image : Image
-        The clip's.
+        Image of the clip.
     fit : Fit
     points : ndarray (chain, draw, COORDINATES)
 
     Returns
     -------
     ndarray (rows, columns)
-        In the clip's units. Also where the clip has holes but its geometry is known; NaN where no
-        ripple is or none can be told. All NaN where the clip is not on a straight lattice.
+        In the clip's units, also in holes of the clip where its geometry is known; NaN where there
+        are no ripples or they cannot be modelled. All NaN if the clip is not on a straight lattice.
     """
     result = np.full(clip.amplitude.shape, np.nan)
     if image.shape != clip.amplitude.shape:
@@ -66,14 +68,14 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> FloatArr
 def _borne_out(
     image: Image, trend: FloatArray, above: FloatArray, known: BoolArray, cycles: FloatArray
 ) -> BoolArray:
-    """Where ripples tell the image better than flat sea floor does, over a wavelength around.
+    """Mask of pixels where ripples explain the image better than flat floor, within a wavelength.
 
     The boxes in which ripples were found are coarser than the edges of a rippled patch.
     """
     there = known & image.valid
     square = np.where(there, np.maximum(above, 1e-3) ** 2, 1.0)
     power = np.where(there, image.power / np.maximum(trend, 1e-9) ** 2, 0.0)
-    along = int(np.argmax(np.abs(cycles)))  # of columns and rows, those that crests run across
+    along = int(np.argmax(np.abs(cycles)))  # 0 if the wave runs along rows, 1 along columns
     size = [NARROW, NARROW]
     size[1 - along] = int(np.clip(np.ceil(1 / np.abs(cycles[along])), NARROW, WIDEST))
 
@@ -85,4 +87,4 @@ def _borne_out(
     flat = np.log(np.maximum(mean(power) / share, 1e-300))
     rippled = np.log(np.maximum(mean(power / square) / share, 1e-300))
     evidence = flat - rippled - mean(np.log(square)) / share
-    return np.asarray((evidence > 0) | (seen < FEW))  # a hole tells nothing against them
+    return np.asarray((evidence > 0) | (seen < FEW))  # a hole is no evidence against ripples

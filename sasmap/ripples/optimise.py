@@ -24,20 +24,22 @@ FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
 HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR = 2, 3, 6, 8, 9
-# Heights of the scan: from this slope to the steepest that sand holds.
+# Heights of the scan: least slope (the largest is close to the steepest that sand holds), and their
+# number.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
-# Laws and asymmetries of the scan, by their coordinates.
+# Laws and asymmetries of the scan, in sampling coordinates.
 LAWS, ASYMMETRIES = (-1.3, 0.3, 1.3), (-1.5, 0.0, 1.5)
-# Steps by which derivatives are taken, in sampling coordinates, and largest steps of the scoring.
+# Step of finite differences and longest step of Fisher scoring, in sampling coordinates.
 STEP, LONGEST = 1e-3, 1.5
-# Rounds at most, and the gain at which Fisher scoring ends; rounds of a short climb.
+# Most rounds of Fisher scoring, and the gain of log posterior below which it ends; rounds of a
+# short climb.
 ROUNDS, ENOUGH, CLIMB = 20, 0.02, 12
-# Starts that are climbed from where the likelihood is smooth, peaks that are kept, steps in
-# sampling coordinates by which others are looked for, and how often.
+# Starts to climb from where no shadow falls, as the likelihood is smooth there; peaks kept; step in
+# sampling coordinates from the best peak in search of others, and number of such searches.
 FEW, PEAKS, KICK, KICKS = 4, 3, 1.5, 2
-# Least eigenvalue of the information's correlation matrix.
+# Least eigenvalue of the information matrix, scaled to a unit diagonal.
 LEAST_KNOWN = 1e-9
-# Peaks nearer than this in every coordinate are the same.
+# Peaks closer than this in every sampling coordinate are the same.
 SAME = 0.3
 
 
@@ -59,19 +61,19 @@ class Peak(NamedTuple):
 
 
 def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
-    """Which sampling coordinates are estimated: those not fixed by the settings."""
+    """Return the indices of the coordinates that are estimated, not fixed by the settings."""
     fixed = np.isfinite(geometry.fixed)
     return np.asarray([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
 
 
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
-    """Which of them are sampled: noise's slope and blur stay where Fisher scoring leaves them."""
+    """Return the indices of those sampled; noise slope and blur stay at their fitted values."""
     free = free_coordinates(geometry)
     return np.asarray(free[(free != NOISE_SLOPE) & (free != BLUR)])
 
 
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
-    """Find starts: the best height for each of a few laws and asymmetries."""
+    """Find starting points: the best height for each of a few laws and asymmetries."""
     tangent = geometry.altitude_middle / geometry.range_middle
     wave = np.hypot(geometry.along, geometry.across)
     slopes = np.geomspace(LEAST_SLOPE, 0.95, HEIGHTS)
@@ -121,7 +123,7 @@ def search(data: Histogram, geometry: Geometry) -> list[Peak]:
 
 
 def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
-    """Wave number (cycles/m) and phase (rad) by which a straight wave's image is off its crests."""
+    """Offset of a straight wave's image from its crests: wave number (cycles/m) and phase (rad)."""
     if geometry.follows_image:
         return np.zeros(2)
     pulses = np.empty(data.pixel_count.shape)
@@ -139,7 +141,7 @@ def line_of_lags(lags: FloatArray, data: Histogram) -> tuple[float, float, float
     Parameters
     ----------
     lags : ndarray (blocks,)
-        rad, whole turns left out.
+        rad, wrapped.
     data : Histogram
 
     Returns
@@ -173,7 +175,7 @@ def fisher_scoring(
     rounds : int
         At most.
     free : ndarray of int, optional
-        Coordinates to climb in, all that are estimated if not given.
+        Coordinates to climb in; by default all that are estimated.
 
     Returns
     -------
@@ -204,12 +206,12 @@ def fisher_scoring(
 
 
 def covariance_of(information: FloatArray) -> FloatArray:
-    """Invert an information matrix, whose coordinates may differ in scale and in what is known.
+    """Invert an information matrix of coordinates that differ in scale and may be unconstrained.
 
     Parameters
     ----------
     information : ndarray (n, n)
-        Symmetric, of positive diagonal.
+        Symmetric, with a positive diagonal.
 
     Returns
     -------
@@ -226,21 +228,21 @@ def rivals(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]
     """Look for peaks that climbs from the scan's starts do not reach.
 
     Where shadow covers most of a wavelength, lit crests look alike from several heights and
-    profiles. Climbs from the best peak with its law, its profile or its blur moved reach the
-    others: of 39 drawn histograms all come within a log unit of the truth's peak, 30 by
+    profiles. Climbs from the best peak with its law, profile or blur changed reach the others: in
+    all of 39 simulated histograms they come within a log unit of the peak at the truth, in 30 with
     :func:`search` alone.
 
     Parameters
     ----------
     peaks : list of Peak
-        Those known, the likeliest first.
+        Peaks found so far, the likeliest first.
     data : Histogram
     geometry : Geometry
 
     Returns
     -------
     list of Peak
-        The likeliest first; those known, where no shadow falls.
+        The likeliest first; unchanged where no shadow falls.
     """
     if not shadowed(peaks[0].z, data, geometry):
         return peaks
@@ -267,7 +269,7 @@ def shadowed(z: FloatArray, data: Histogram, geometry: Geometry) -> bool:
 
 
 def distinct(peaks: list[Peak], most: int) -> list[Peak]:
-    """Keep the likeliest peaks, each of those that are nearly the same once."""
+    """Keep the likeliest peaks, and one only of those that nearly coincide."""
     kept: list[Peak] = []
     for peak in sorted(peaks, key=lambda p: -p.level):
         if all(np.abs(peak.z - other.z).max() > SAME for other in kept):

@@ -1,9 +1,9 @@
-"""Ripple phase as a field: straight where that suffices, else as stiff as the clip decides.
+"""Ripple phase: straight crests where they suffice, else a smooth phase field.
 
-Smoothing the demodulated clip gives the phase of the image's fundamental at every place, forks and
-all. Odd and even stripes across the crests are smoothed apart, and each pixel's phase is what the
-others tell, so that speckle is not taken for phase; the smoothing is the one that predicts the
-others best.
+Smoothing the demodulated clip gives the phase of the image's fundamental at every place, forks
+included. Odd and even stripes across the crests are smoothed separately, and each pixel takes its
+phase from the other set, so that speckle is not mistaken for phase. The width of the smoothing is
+the one that predicts the other set best.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ BoolArray = NDArray[np.bool_]
 
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
 STIFFNESS = (0.5, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
-# What a field of each stiffness must at least predict, of what straight crests do: a stiffness of
-# parts of a wave takes the pulse's own shape for phase.
+# Least score of a field of each stiffness, over that of straight crests, for it to be preferred: a
+# stiffness below one wavelength mistakes the pulse's own shape for phase.
 STRAIGHT = np.array([1.03, 1.012, 1.004, 1.004, 1.003, 1.003, 1.003])
-# Share of the phase's wander that its mean slope may be wrong by, and turns over the clip that a
-# fork leaves open (root of their number) (pipelines/ripples/coherent.py).
+# Error of the phase's mean slope, as a share of the phase's wander, and in cycles over the clip for
+# one fork, growing with the square root of their number (pipelines/ripples/coherent.py).
 WANDER_SHARE, FORK_TURN = 0.2, 0.04
 
 
@@ -44,29 +44,29 @@ class PhaseField:
     wave : ndarray (2,)
         Wave vector (east, north) that the field is relative to, cycles/m.
     rigid : bool
-        Whether crests are straight: there is no field.
+        Whether crests are straight, so that there is no field.
     shape : tuple of int
-        Of the image: rows, columns.
+        Shape of the image: rows, columns.
     box : int
-        Pixels a side of a box.
+        Side length of a box in pixels.
     stripes : ndarray (2,)
-        Stripes across the crests a column and a row, of which odd and even alternate.
+        Number of stripes across the crests per column and per row; odd and even ones alternate.
     even, odd, both : ndarray of complex (box rows, box columns)
-        Unit phasors of the field from even stripes, odd ones, and all.
+        Unit phasors of the field from even stripes, from odd ones, and from all.
     covered : ndarray of bool (box rows, box columns)
-        BoxSums with ripples.
+        Whether a box has ripples.
     origin : float
         Phase of a straight wave's image at the clip's centre, cycles.
     mean_wave, wave_sd : ndarray (2,)
         Mean wave vector of the image's phase along and across the look, cycles/m, and its standard
         deviation under independent speckle.
     error : float
-        Of the field at a pixel, rad; 0 where rigid.
+        Error of the field at a pixel, rad; 0 where rigid.
     coherence_length : float
-        Distance over which the phase, less its mean slope, keeps a correlation of 1/e, m; the
-        clip's largest where it keeps it throughout.
+        Distance at which the correlation of the phase, without its mean slope, falls to 1/e, m; the
+        clip's largest distance where it stays above that.
     rippled_fraction : float
-        Of the clip's valid area.
+        Rippled fraction of the clip's valid area.
     stiffness : float
         Standard deviation of the Gaussian that smooths the field, m; infinite where rigid.
     """
@@ -89,19 +89,19 @@ class PhaseField:
     stiffness: float
 
     def per_pixel(self, image: Image) -> FloatArray:
-        """Cycles of the plane wave a column, a row and at the clip's centre (3,)."""
+        """Cycles of the plane wave per column, per row, and at the clip's centre (3,)."""
         return np.append(image.per_pixel(self.wave), self.origin)
 
     @property
     def middle(self) -> float:
-        """Mean phase at the clip's centre, cycles, of the wave's image."""
+        """Mean phase of the wave's image, referred to the clip's centre, cycles."""
         if self.rigid:
             return self.origin
         total = self.both[self.covered].sum()
         return self.origin + float(np.angle(total) / (2 * np.pi))
 
     def spread_cover(self) -> BoolArray:
-        """Rippled boxes and the holes among them."""
+        """Return the mask of rippled boxes with the holes among them filled."""
         return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])
 
     @cached_property
@@ -112,7 +112,7 @@ class PhaseField:
         return np.asarray(field_cycles(self.even, self.odd, self.box, self.stripes, self.shape))
 
     def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
-        """Spread a mask of boxes to the image's pixels."""
+        """Expand a mask of boxes to the image's pixels."""
         if boxes.all():
             return np.ones(shape, bool)
         wide = np.repeat(np.repeat(boxes, self.box, axis=0), self.box, axis=1)
@@ -137,7 +137,7 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     along, across = box_places(image, boxes)
     weight = np.where(covered, boxes.count, 0.0)
     total, pixels = np.where(covered, boxes.turned, 0).sum(), weight.sum()
-    # slope of the phase of a sine of this amplitude in noise of this variance, by least squares
+    # error of the phase slope of a sine of this amplitude in noise of this variance, least squares
     noise = np.sqrt(0.5 * boxes.variance * pixels) / max(abs(total), 1e-9)
     spreads = [
         np.sqrt(np.average((v - np.average(v, weights=weight)) ** 2, weights=weight))
@@ -171,7 +171,7 @@ def _along_and_across(image: Image, wave: FloatArray) -> FloatArray:
 
 
 class FieldTrials(NamedTuple):
-    """How well phase fields predict boxes that they did not see.
+    """How well phase fields predict boxes that were not used to estimate them.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class FieldTrials(NamedTuple):
 
 
 def trial_fields(boxes: BoxSums) -> FieldTrials:
-    """Smooth the phase at several stiffnesses and score each on boxes that it did not see.
+    """Smooth the phase at several stiffnesses and score each on the boxes it did not use.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
 def _mean_wave(
     image: Image, boxes: BoxSums, field: ComplexArray, weight: FloatArray, smear: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Slope of the plane that fits the phase best, along and across the look, cycles/m.
+    """Mean wave vector of the phase along and across the look, and its error, cycles/m.
 
     The least-squares slope over an interval is the mean of the local slope weighted by a parabola,
     which needs no unwrapping.
@@ -287,7 +287,7 @@ def _mean_wave(
         total = max(float(parabola.sum()), 1e-300)
         slope = float((parabola * turn).sum()) / total
         slopes.append(slope / (2 * np.pi * boxes.size))
-        # what remains of the wander, averaged over what the clip holds of it, is not known
+        # the wander that remains leaves the mean slope uncertain
         rest = (turn - slope) * (parabola > 0)
         wander = np.cumsum((rest * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1e-9))
         spreads.append(float(wander.std() + smear) / max(high - low, 1))
@@ -300,7 +300,7 @@ def _mean_wave(
 
 
 def _forks(field: ComplexArray, weight: FloatArray) -> int:
-    """Places that the phase winds around: where crests split or end."""
+    """Count phase singularities, where crests split or end."""
     corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
     turns = [
         np.angle(b * np.conj(a)) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
@@ -313,7 +313,7 @@ def _forks(field: ComplexArray, weight: FloatArray) -> int:
 def _coherence_length(
     image: Image, boxes: BoxSums, field: ComplexArray, weight: FloatArray, mean: FloatArray
 ) -> float:
-    """Lag at which the correlation of exp(i field), less its mean slope, falls to 1/e, m."""
+    """Lag at which the correlation of exp(i field), without its mean slope, falls to 1/e, m."""
     look = image.look
     vector = mean[0] * look + mean[1] * np.array([look[1], -look[0]]) - boxes.wave
     per_column, per_row = image.per_pixel(vector) * boxes.size

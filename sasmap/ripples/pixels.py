@@ -11,17 +11,17 @@ from sasmap.ripples.rendering import FAST
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Sums of each bin and of each block of a phase-range histogram, in this order.
+# Indices of the sums kept for each bin and for each block of a phase-range histogram.
 COUNT, UNSATURATED, INTENSITY, OFFSET, REACH, BIN_SUMS = range(6)
 PIXELS, PLACE, RANGE, ALTITUDE, TREND, BLOCK_SUMS = range(6)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def box_sums(values, valid, per_column, per_row, size):  # type: ignore[no-untyped-def]
-    """Sum an image, turned by a wave, over square boxes.
+    """Sum an image, demodulated at a wave, over square boxes.
 
     Returns the complex sums of values * exp(-i phase) and the number of valid pixels, both (box
-    rows, box columns); phase 0 at the image's centre.
+    rows, box columns); the phase is 0 at the image's centre.
     """
     rows, columns = values.shape
     shape = ((rows + size - 1) // size, (columns + size - 1) // size)
@@ -45,9 +45,9 @@ def box_sums(values, valid, per_column, per_row, size):  # type: ignore[no-untyp
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def wave_boxes(values, valid, per_column, per_row, width):  # type: ignore[no-untyped-def]
-    """Sum an image over boxes a wavelength long and `width` pixels wide, turned by the wave.
+    """Sum a demodulated image over boxes one wavelength long and `width` pixels wide.
 
-    Returns complex sums, sums of squares and pixels, (wavelengths, boxes across).
+    Returns complex sums, sums of squares and numbers of pixels, (wavelengths, boxes across).
     """
     rows, columns = values.shape
     norm = np.hypot(per_column, per_row)
@@ -75,7 +75,10 @@ def wave_boxes(values, valid, per_column, per_row, width):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def box_place(i, size, boxes):  # type: ignore[no-untyped-def]
-    """Lower box whose centre is at or before a pixel, and how far to the next one."""
+    """Index of the last box centred at or before a pixel, and the fraction of the way to the next.
+
+    Both are clipped to the boxes that exist.
+    """
     place = min(max((i + 0.5) / size - 0.5, 0.0), boxes - 1.0)
     low = min(int(place), max(boxes - 2, 0))
     return low, place - low
@@ -83,7 +86,7 @@ def box_place(i, size, boxes):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def between(field, low_row, down, low_column, right):  # type: ignore[no-untyped-def]
-    """Interpolate between four boxes."""
+    """Interpolate bilinearly between four boxes."""
     next_row = min(low_row + 1, field.shape[0] - 1)
     next_column = min(low_column + 1, field.shape[1] - 1)
     return (1.0 - down) * (
@@ -93,7 +96,7 @@ def between(field, low_row, down, low_column, right):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def field_cycles(even, odd, box, stripes, shape):  # type: ignore[no-untyped-def]
-    """Phase of a field at every pixel, cycles, by the stripes of the other parity."""
+    """Phase of a field at every pixel, cycles, from the stripes of the other parity."""
     result = np.empty(shape)
     for i in range(shape[0]):
         low_row, down = box_place(i, box, even.shape[0])
@@ -109,7 +112,7 @@ def field_cycles(even, odd, box, stripes, shape):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
-    """Values of boxes at every pixel, between their centres."""
+    """Interpolate values of boxes to every pixel, between their centres."""
     result = np.empty(shape)
     for i in range(shape[0]):
         low_row, down = box_place(i, box, values.shape[0])
@@ -121,7 +124,7 @@ def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def block_table(edges):  # type: ignore[no-untyped-def]
-    """Block of each of many even steps of range, and steps a metre."""
+    """Table of the block at many even steps of range, and the number of steps per metre."""
     blocks = edges.size - 1
     scale = 8 * blocks / (edges[-1] - edges[0])
     table = np.empty(8 * blocks, np.int64)
@@ -139,9 +142,9 @@ def sum_pixels(  # type: ignore[no-untyped-def]
 ):
     """Return sums of bins (blocks, bins, BIN_SUMS) and of blocks (blocks, BLOCK_SUMS).
 
-    `field` is the phase beyond the plane wave, cycles (rows, columns), empty where there is none;
-    `per_pixel` cycles a column and a row and at the clip's middle; `along` metres along the look a
-    column and a row.
+    `field` is the phase relative to the plane wave, cycles (rows, columns), empty where there is
+    none; `per_pixel` the wave's cycles per column, per row, and at the clip's centre; `along` the
+    metres along the look per column and per row.
     """
     rows, columns = power.shape
     blocks = edges.size - 1
@@ -181,8 +184,8 @@ def sum_pixels(  # type: ignore[no-untyped-def]
 def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type: ignore[no-untyped-def]
     """Spread pulses (blocks, bins) over the pixels that are known; 0 elsewhere.
 
-    `places` are the blocks' mean ranges, between which pulses are interpolated: the opposite of
-    :func:`sum_pixels`.
+    The inverse of :func:`sum_pixels`: `places` are the blocks' mean ranges, between which pulses
+    are interpolated.
     """
     rows, columns = known.shape
     blocks, bins = pulses.shape
@@ -219,9 +222,9 @@ def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def profile_boxes(values, valid, per_column, per_row, parts, width):  # type: ignore[no-untyped-def]
-    """Sum an image over boxes a wavelength over `parts` long and `width` pixels wide.
+    """Sum an image over boxes 1 / `parts` of a wavelength long and `width` pixels wide.
 
-    Returns sums and pixels, (parts of wavelengths, boxes across).
+    Returns sums and numbers of pixels, (parts of wavelengths, boxes across).
     """
     rows, columns = values.shape
     norm = np.hypot(per_column, per_row)

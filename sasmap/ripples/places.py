@@ -1,7 +1,7 @@
 """Appearance of a spectral peak in the clip: ripples, lines, or an object.
 
 A spectrum alone does not separate ripples from an edge, a few lines or the ribs of a wreck. The
-distribution of the wave's energy over the clip, and the shape of its crests, do.
+distribution of the wave's energy over the clip, and the shape of its crests, separate them.
 """
 
 from __future__ import annotations
@@ -19,38 +19,40 @@ BoolArray = NDArray[np.bool_]
 
 # Narrowest strip along the crest normal, over the clip's longer side (a choice).
 STRIP = 1 / 16
-# Least share of a wave's measured energy that counts as its own where speckle makes up more (a
-# choice: keeps the ratio of two small numbers small).
+# Least share of the measured energy that is attributed to the wave where speckle explains more (a
+# choice: it keeps the ratio of two small numbers bounded).
 LEAST_OWN = 0.5
 # Bounds of the correlation of neighbouring pixels: those of grains of 0.3 and 7 pixels.
 LEAST_SHARE, MOST_SHARE = 0.004, 0.99
 # Bins of the profile per wavelength, where it has enough pixels.
 FINE, LONG_ENOUGH = 6, 12.0
-# Places around a wave number at which power is averaged, bins (a choice: as wide as the main lobe).
+# Offsets from a wave number at which power is averaged, bins (a choice: as wide as the main lobe).
 AROUND = np.linspace(-1.5, 1.5, 5)
-# Ramp of the share of a profile's variance that is not speckle, over which its shape counts.
+# Ramp of the share of a profile's variance that is not speckle, over which its shape starts to
+# count.
 SHAPE_FROM, SHAPE_SURE = 0.3, 0.6
-# Ramp of the skewness between profiles with dark lines and others: where shadow sets in it is -0.7
-# to -0.9, for marks and objects 0 to 3 (pipelines/ripples/floors.py).
+# Ramp of the skewness between profiles with dark lines and others: at the onset of shadow it is
+# -0.7 to -0.9, for marks and objects 0 to 3 (pipelines/ripples/floors.py).
 DARK_SKEW = (-0.5, -0.2)
-# Ramp of the share of a clip that an object covers; level of shadow over the clip's; weights of
-# brightness and of shadow. Simulated wrecks are 1.2 to 1.6 times as bright as the floor, have 1 to
-# 8 % of the clip in shadow and cover 3 to 13 % of it; ripples are 0.96 to 1.05 times as bright.
+# Ramp of the share of a clip that an object covers; level over the clip's below which a box is in
+# shadow; weights of brightness and of shadow. Simulated wrecks are 1.2 to 1.6 times as bright as
+# the floor, have 1 to 8 % of the clip in shadow and cover 3 to 13 % of it; ripples are 0.96 to 1.05
+# times as bright.
 LARGE, SMALL, DARK, BRIGHT, SHADED = 0.35, 0.2, 0.5, 14.0, 55.0
-# Ramp of the extent of ribs along the hull over that across it, and how much it counts. Hulls are
-# three to seven times as long as wide; of 280 patches of ripples of any outline 2 % have more than
-# 1.9, of 35 wrecks that resemble ripples half (pipelines/ripples/lookalikes.py, presence.py).
+# Ramp of the extent of ribs along the hull over that across it, and its weight. Hulls are three to
+# seven times as long as wide; 2 % of 280 patches of ripples of any outline have more than 1.9, as
+# do half of 35 wrecks that resemble ripples (pipelines/ripples/lookalikes.py, presence.py).
 LONG, LONGER, RIBBED = 2.0, 2.5, 0.5
-# Power of speckle taken off that of a box, over its mean: its power is exponential, so that an
-# eighth of it remains.
+# Speckle power subtracted from that of a box, over its mean; being exponential, an eighth of it
+# remains.
 TAKEN_OFF = 2.0
-# Pixels a side of the boxes in which the display power is estimated, standard deviation of Rayleigh
-# speckle over its mean, and least plausible power.
+# Side length in pixels of the boxes in which the display power is estimated, standard deviation of
+# Rayleigh speckle over its mean, and least plausible display power.
 SPECKLED, RAYLEIGH, LEAST_POWER = 8, 0.523, 0.3
 
 
 class Extents(NamedTuple):
-    """Extent of a wave in wavelengths, and whether its crests keep step.
+    """Extent of a wave in wavelengths, and whether its crests stay in phase.
 
     Attributes
     ----------
@@ -59,7 +61,7 @@ class Extents(NamedTuple):
     room : float
         Available length along the normal over that along the crests.
     out_of_step : float
-        Correlation of neighbouring places on a crest less that of neighbouring crests: about 0 for
+        Correlation of neighbouring places on a crest minus that of neighbouring crests: about 0 for
         ripples, forked or not, because a fork disturbs both; up to 1 for separate lines.
     """
 
@@ -74,16 +76,16 @@ def _width(shape: tuple[int, ...], wave: tuple[float, float]) -> float:
 
 
 def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extents:
-    """Measure how far a wave's energy extends in a clip or a part of it: participation ratios.
+    """Measure how far a wave's energy extends in a clip or a part of it, by participation ratios.
 
-    Energy-weighted mean over strips along the normal (and over wavelengths, along the crests): a
-    boundary crosses each strip once. The energies are of coherent sums over boxes a wavelength long
-    and a strip wide, with that of speckle subtracted.
+    The extent along the normal is an energy-weighted mean over strips (along the crests, over
+    wavelengths): a boundary crosses each strip once. Energies are those of coherent sums over boxes
+    a wavelength long and a strip wide, with that of speckle subtracted.
 
     Parameters
     ----------
     flat : ndarray (rows, columns)
-        Amplitude over its trend, less 1; 0 where not valid.
+        Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
         Cycles per column and row.
@@ -97,7 +99,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     turned, noise, count = wave_boxes(flat, valid, *wave, width)
     full = count > 0.5 * np.quantile(count[count > 0], 0.9)
     mean_noise = noise.sum() / max(count.sum(), 1.0)
-    # a box with one bright object weighs no more than the rest
+    # keeps a box with one bright object from weighing more than the rest
     excess = np.abs(turned) ** 2 - np.maximum(noise, mean_noise * count)
     energy = np.maximum(np.where(full, excess / np.maximum(count, 1.0), 0.0), 0.0)
     wide = width * float(np.hypot(*wave))
@@ -114,9 +116,9 @@ def _step(mean: NDArray[np.complex128], speckle: FloatArray) -> float:
     Parameters
     ----------
     mean : ndarray (rows, columns)
-        Complex amplitude of boxes, 0 where there is none.
+        Complex amplitude of boxes, 0 where a box has too few pixels.
     speckle : ndarray (rows, columns)
-        Mean square that speckle adds to it.
+        Mean square amplitude of speckle in a box, 0 where it has too few pixels.
 
     Returns
     -------
@@ -140,12 +142,12 @@ def _participation(energy: FloatArray, axis: int) -> float:
 
 
 def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
-    """Local amplitude of a wave: energy-weighted mean over boxes a wavelength a side.
+    """Local amplitude of a wave: energy-weighted mean over square boxes of one wavelength.
 
     Parameters
     ----------
     flat, valid, per_pixel
-        As of :func:`extents`.
+        As for :func:`extents`.
 
     Returns
     -------
@@ -166,14 +168,14 @@ def grain_of(flat: FloatArray, valid: BoolArray) -> float:
     Parameters
     ----------
     flat : ndarray (rows, columns)
-        Amplitude over its trend, less 1; 0 where not valid.
+        Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
 
     Returns
     -------
     float
-        Standard deviation, pixels, of the Gaussian that smooths the complex image, of the direction
-        in which it is smaller: the correlation at a distance t is exp(-t^2 / (2 s^2)).
+        Standard deviation s, pixels, of the Gaussian that smooths the complex image, in the
+        direction in which it is smaller: the correlation at a distance t is exp(-t^2 / (2 s^2)).
     """
     power = max(float((flat[valid] ** 2).mean()), 1e-12)
     pairs = (flat[1:], flat[:-1], valid[1:], valid[:-1]), (
@@ -184,21 +186,21 @@ def grain_of(flat: FloatArray, valid: BoolArray) -> float:
 
 
 def undertone(amplitude: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
-    """Power at half a wave's number over that at the wave: of blotches the longest have most.
+    """Power at half the wave number over that at the wave; blotches have most at long wavelengths.
 
     Parameters
     ----------
     amplitude : ndarray (rows, columns)
-        With its trend, which would hide what is long.
+        Trend included, as removing it would remove long wavelengths too.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
-        Cycles a column and a row.
+        Cycles per column and row.
 
     Returns
     -------
     float
-        Of simulated ripples 0.1 at most, of recorded ones with four forked waves 0.02 to 0.4 (one
-        0.7), of directed blotches mostly 0.5 to 6.
+        At most 0.1 for simulated ripples, 0.02 to 0.4 for recorded ones with four forked waves (one
+        0.7), mostly 0.5 to 6 for elongated blotches.
     """
     rows, columns = amplitude.shape
     level = np.where(valid, amplitude / amplitude[valid].mean() - 1, 0.0)
@@ -215,12 +217,12 @@ def undertone(amplitude: FloatArray, valid: BoolArray, per_pixel: FloatArray) ->
 
 
 def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float:
-    """Measure how far crests are thin bright lines with wide gaps.
+    """Measure how much crests resemble thin bright lines with wide gaps.
 
     Parameters
     ----------
     flat, valid, per_pixel
-        As of :func:`extents`.
+        As for :func:`extents`.
 
     Returns
     -------
@@ -249,14 +251,14 @@ def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float
 def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray, there: Extents) -> float:
     """Measure how much a wave resembles an object: bright, in one place, with a shadow.
 
-    Averaged over a wavelength, ripples scatter as much as the floor around, and their shadow is
-    shorter than a wavelength. The ribs of a wreck are small, brighter than the floor, beside a
+    Averaged over a wavelength, ripples scatter as much as the floor around them, and their shadow
+    is shorter than a wavelength. The ribs of a wreck are small, brighter than the floor, next to a
     dark shadow, and side by side along a narrow hull.
 
     Parameters
     ----------
     flat : ndarray (rows, columns)
-        Amplitude of the whole clip over its trend, less 1; 0 where not valid.
+        Amplitude of the whole clip over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
         Cycles per column and row.
@@ -293,7 +295,7 @@ def objectness(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray, there:
 
 
 def _compression(flat: FloatArray, valid: BoolArray) -> float:
-    """Estimate the display power of a clip: below 1 where amplitude was compressed.
+    """Estimate the display power of a clip, below 1 where the amplitude was compressed.
 
     Uses the speckle of small boxes, whose standard deviation is 0.52 of the mean in amplitude.
     """

@@ -1,4 +1,4 @@
-"""What a clip says about its ripples: draws, their summary, and how far to trust them."""
+"""Posterior of the ripples in a clip: draws, their summary, and their quality."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Quality(IntEnum):
 
     @property
     def label(self) -> str:
-        """Name as people read it."""
+        """Human-readable name."""
         return _LABELS[self]
 
 
@@ -53,7 +53,7 @@ _LABELS = {
 
 
 class LeftOut(IntFlag):
-    """What a clip did not need, or what this method does not do."""
+    """Steps that were left out, as the clip did not need them or the method lacks them."""
 
     SAMPLING = 1
     PRESENCE_TEST = 2
@@ -67,25 +67,26 @@ NOTHING = LeftOut(0)
 
 @dataclass(frozen=True)
 class Shape:
-    """How the crests of a clip run.
+    """Shape of the crests of a clip, and its geometry.
 
     Attributes
     ----------
     coherence_length : float
-        Distance over which the phase, less its mean slope, stays correlated (1/e), m; at least
+        Distance over which the phase, without its mean slope, stays correlated (1/e), m; at least
         the clip's diagonal where crests are straight.
     rippled_fraction : float
-        Of the valid area.
+        Rippled fraction of the valid area.
     stiffness : float
         Smoothing of the phase field, m; infinite where crests are straight.
     noise_factor : float
         Variance of the speckle over that of independent pixels.
     defect_density : float
-        Places a square metre where crests split or end.
+        Number of places per square metre where crests split or end.
     tangent, altitude, altitude_sd : float
-        Of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's middle.
+        Tangent of the grazing angle; the sonar's altitude and its accuracy, m; at the clip's
+        middle.
     centre : tuple of float
-        Map position (east, north) of the clip's centre, m, at which `phase` is told.
+        Map position (east, north) of the clip's centre, m, to which the draws of `phase` refer.
     """
 
     coherence_length: float
@@ -126,7 +127,7 @@ class Posterior:
     quality : Quality
         GOOD, NO_RIPPLES, NOT_CONVERGED, NOT_IDENTIFIABLE or TOO_FEW_PIXELS.
     prior : Prior
-        Of (f, A_H), as used.
+        Prior of (f, A_H) that was used.
     draws : Dataset (chain, draw)
         ``frequency`` (cycles/m), ``height`` (A_H, m), ``azimuth`` (crest normal, degrees clockwise
         from grid north, unwrapped about its mean), and the other parameters of
@@ -134,23 +135,22 @@ class Posterior:
     acceptance : float
         Accepted fraction of the kept steps.
     left_out : LeftOut
-        What the clip did not need.
+        Steps that were left out.
     probability : float
-        That the clip is rippled.
+        Probability that the clip is rippled.
     shape : Shape or None
-        How the crests run; None without draws.
+        Shape of the crests; None without draws.
     model : ndarray (rows, columns) or None
-        Posterior mean of the amplitude, in the clip's units, where asked for; NaN where no
-        geometry is known or no ripple is.
+        Posterior mean of the amplitude, in the clip's units, if requested; NaN where the geometry
+        is unknown or there are no ripples.
     reason : str
-        Why the clip cannot tell, in words; empty where it can.
+        Why the clip is inconclusive, in words; empty where it is not.
     rippled : ndarray (rows, columns) or None
-        Probability that a pixel lies on rippled floor, NaN where the clip shows nothing; None
-        without draws.
+        Probability that a pixel lies on rippled floor, NaN at invalid pixels; None without draws.
     second : Dataset (chain, draw)
-        As `draws`, of a second system of ripples; empty where the evidence asks for none.
+        As `draws`, for a second system of ripples; empty where there is no evidence of one.
     reference : tuple of float
-        What `rippled` was told by: wave vector (east, north), cycles/m, and
+        Quantities from which `rippled` was computed: wave vector (east, north), cycles/m, and
         :attr:`sasmap.ripples.extent.Extent.own`. Empty without draws.
     """
 
@@ -213,7 +213,7 @@ class Posterior:
             raise ValueError("nothing was sampled")
         values = {str(name): self.draws[name].values for name in self.draws}
         try:
-            from arviz_base import from_dict  # what ArviZ is made of since 1.0
+            from arviz_base import from_dict  # part of ArviZ since 1.0
 
             return from_dict({"posterior": values})
         except ImportError:

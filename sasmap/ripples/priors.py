@@ -26,7 +26,7 @@ class Prior:
         Truncation bounds of f and of A_H.
     steepness : tuple of float
         Log-normal prior of crest to trough over wavelength: median and standard deviation of the
-        log; infinite for none.
+        log, which is infinite for no prior.
     """
 
     mean: tuple[float, float]
@@ -36,25 +36,25 @@ class Prior:
 
     @classmethod
     def natural(cls, frequency: tuple[float, float], height: tuple[float, float]) -> Self:
-        """Return the prior of natural ripples, flat within the bounds but for their steepness."""
+        """Return the prior of natural ripples, flat within the bounds except for steepness."""
         middle = (sum(frequency) / 2, sum(height) / 2)
         return cls(middle, (np.inf, np.inf), (frequency, height), NATURAL_STEEPNESS)
 
     def weigh_frequency(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return draws of f, given without a prior, as they are under this one (ZC 8).
+        """Transform draws of f under a flat prior to draws under this one (ZC 8).
 
-        What the image tells of f is the phase of its crests, nearly a Gaussian that does not depend
-        on the height: the product with the prior's is one again.
+        The image constrains f through the phase of its crests, with a nearly Gaussian likelihood
+        that does not depend on the height: its product with the prior is Gaussian again.
 
         Parameters
         ----------
         draws : ndarray
-            Of f, cycles/m.
+            Draws of f, cycles/m.
 
         Returns
         -------
         ndarray
-            The same draws, moved and drawn together.
+            The same draws, shifted and scaled.
         """
         if np.isinf(self.sd[0]):
             return draws
@@ -65,6 +65,6 @@ class Prior:
 
     @classmethod
     def flat(cls, frequency: tuple[float, float], height: tuple[float, float]) -> Self:
-        """Return the prior that knows the bounds alone."""
+        """Return the prior that is flat within the bounds."""
         middle = (sum(frequency) / 2, sum(height) / 2)
         return cls(middle, (np.inf, np.inf), (frequency, height))

@@ -1,8 +1,8 @@
 """The published sampler, as published (ZC 3 and Algorithm 1; docs/science.md).
 
 Median-filtered and normalised amplitudes, a Gaussian likelihood of variance 1 about the raw a*,
-phase zero at the track, the crest rule for shadow. Kept because it is published and for comparison;
-its failures belong to it.
+phase zero at the track, the crest rule for shadow. It is kept for comparison, with the failures of
+the published method.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ FloatArray = NDArray[np.float64]
 
 FILTER = 5
 NARROW_WEIGHT = 0.7
-# Variances of the proposal's two Gaussians, for f and A_H alike (ZC 3.2.3).
+# Variances of the proposal's two Gaussians, the same for f and A_H (ZC 3.2.3).
 NARROW_VARIANCE, WIDE_VARIANCE = 0.01, 0.1
-# The paper gives no number; with this one the printed errors come out (docs/science.md).
+# The paper gives no number; this one reproduces the printed errors (docs/science.md).
 ITERATIONS = 5000
 
 
@@ -38,13 +38,13 @@ class PriorData(NamedTuple):
 
 
 def prior_data(prior: Prior) -> PriorData:
-    """Return a prior as the compiled code reads it."""
+    """Convert a prior to the form that the compiled code reads."""
     lower, upper = np.array(prior.bounds, float).T
     return PriorData(np.array(prior.mean, float), 1 / np.array(prior.sd) ** 2, lower, upper)
 
 
 class PublishedData(NamedTuple):
-    """Sufficient statistics of the Gaussian likelihood, one value a range bin."""
+    """Sufficient statistics of the Gaussian likelihood, one value per range bin."""
 
     pixels: FloatArray
     mean: FloatArray
@@ -62,8 +62,8 @@ def normalise(clip: Clip) -> FloatArray:
     Returns
     -------
     ndarray (rows, columns)
-        Median filtered over 5 x 5 pixels, less its mean, over its maximum before the mean was
-        taken off (docs/science.md); NaN outside the valid pixels.
+        Median filtered over 5 x 5 pixels, minus its mean, over its maximum before the mean was
+        subtracted (docs/science.md); NaN outside the valid pixels.
     """
     valid = clip.valid
     middle = float(np.median(clip.amplitude[valid]))
@@ -74,18 +74,18 @@ def normalise(clip: Clip) -> FloatArray:
 
 
 def reduce(clip: Clip, image: FloatArray) -> PublishedData:
-    """Average a normalised clip over range bins of a pixel: the Gaussian likelihood needs no more.
+    """Average a normalised clip over range bins one pixel wide, which suffices for the likelihood.
 
     Parameters
     ----------
     clip : Clip
     image : ndarray (rows, columns)
-        Of :func:`normalise`.
+        As from :func:`normalise`.
 
     Returns
     -------
     PublishedData
-        Of the bins that hold a pixel, along the mean look.
+        Of the bins along the mean look that contain pixels.
     """
     valid = clip.valid
     look = np.radians(mean_look(clip))
@@ -103,7 +103,7 @@ def reduce(clip: Clip, image: FloatArray) -> PublishedData:
 
 
 def initial(data: PublishedData, image: FloatArray, prior: PriorData) -> FloatArray:
-    """Start f at the FFT's peak of the cross-range mean and A_H at the clip's RMS."""
+    """Return start values: f at the FFT peak of the cross-range mean, A_H at the clip's RMS."""
     step = float(np.median(np.diff(data.ground_range)))
     power = np.abs(np.fft.rfft(data.mean - data.mean.mean()))
     frequency = np.fft.rfftfreq(data.mean.size, step)

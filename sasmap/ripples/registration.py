@@ -1,8 +1,8 @@
 """Registration of passes from the positions of crests.
 
-Where the phases of all cells agree on one shift of a pass over the map, the pass is misregistered;
-migration differs from cell to cell. Crests determine a shift along their normal, modulo a
-wavelength; cells of several directions and wavelengths together determine it completely.
+Where the phases of all cells agree on one shift of a pass relative to the map, the pass is
+misregistered; migration differs from cell to cell. Crests determine a shift along their normal,
+modulo a wavelength; cells of several directions and wavelengths together determine it completely.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Prior standard deviation of registration, m (differential GPS), range of the search over it, and
-# step of the search over the shortest wavelength.
+# Prior standard deviation of registration, m (differential GPS); range of the search, in units of
+# it; step of the search over the shortest wavelength.
 USUAL, REACH, STEP = 0.5, 3.0, 0.1
 # Additional error of a phase, cycles, and prior share of cells with migrated crests (choices).
 PHASE_ERROR, MIGRATED = 0.02, 0.3
@@ -69,7 +69,7 @@ def left_over(moves: Moves, shifts: FloatArray) -> FloatArray:
 
 
 def registration(moves: Moves, passes: int) -> FloatArray:
-    """Estimate the shifts of passes over the map from crests that have not migrated.
+    """Estimate the shifts of passes relative to the map from crests that have not migrated.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def registration(moves: Moves, passes: int) -> FloatArray:
 
 
 def _shift_of(k: int, moves: Moves, shifts: FloatArray) -> FloatArray:
-    """Shift of a pass, given the others'."""
+    """Estimate the shift of a pass, given those of the others."""
     seen = np.flatnonzero((moves.swath == k) != (moves.first == k))
     if len(seen) < LEAST_CELLS:
         return np.zeros(2)

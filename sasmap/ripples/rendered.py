@@ -1,4 +1,4 @@
-"""A wave of a clip by phase and range, its likeliest parameters, and what these render."""
+"""The fit of one wave in a clip, and the images that its parameters render."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Fit(NamedTuple):
-    """A clip by phase and range, and the likeliest parameters.
+    """A clip binned by phase and range, and the likeliest parameters.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Fit(NamedTuple):
     noise_factor : float
         Variance of the speckle over that of independent pixels.
     explained : float
-        Log likelihood of the likeliest ripple over that of a flat sea floor, speckle independent.
+        Log likelihood ratio of the likeliest ripple to a flat sea floor, for independent speckle.
     misfit : float
-        Relative error of the expected intensity that the image shows
+        Relative error of the expected intensity, as estimated from the image
         (:func:`sasmap.ripples.errors.misfit_of`).
     tilt : float
         Standard deviation of the slope of straight crests' phase over range, cycles/m
@@ -62,12 +62,12 @@ class Fit(NamedTuple):
 
 
 def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
+    """Render pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
     return pulses_of(fit, parameters_at(z, fit.geometry))
 
 
 def pulses_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pulses, lags and levels of given parameters, as :func:`pulses_at`."""
+    """Render pulses, lags and levels of given parameters, as :func:`pulses_at` does."""
     pulses = np.empty(fit.data.pixel_count.shape)
     lags, levels = np.empty((2, len(pulses)))
     fill_pulses(ripple, fit.data, fit.geometry, pulses, levels)
@@ -76,7 +76,7 @@ def pulses_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray, Flo
 
 
 def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Ground ranges (m) and how far the image's fundamental is turned there, rad."""
+    """Return ground ranges (m) and the phase lag of the image's fundamental there, rad."""
     return fit.data.ground_range, np.unwrap(pulses_at(fit, fit.z)[1])
 
 
@@ -86,7 +86,7 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def expected_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray]:
-    """Return what :func:`expected_at` does of given parameters."""
+    """Return the same as :func:`expected_at`, for given parameters."""
     means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
     fill_expected(ripple, fit.data, fit.geometry, means, gains)
     return means, gains

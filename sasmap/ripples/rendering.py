@@ -1,21 +1,21 @@
-"""The rendered wavelength: what a sonar image shows of one ripple, and the likelihood of a clip.
+"""Forward model: the rendered sonar image of one ripple wavelength, and the likelihood of a clip.
 
 One wavelength of sea floor is cut into facets. Each has its local grazing angle, its area, its
 place in the image (an echo is placed by its slant range as if the floor were flat, so that crests
 lean towards the sonar) and is lit or in shadow by line of sight. Their power is summed in bins of
-image phase and blurred. This holds for every crest profile and every scattering law; estimate,
-modelled image and ripple removal use it. The model of Zare and Cobb (2013, equations 3 and 4) is
-rendered by the same loop where a survey asks for it.
+image phase and blurred. This works for any crest profile and any scattering law; the estimate, the
+modelled image and ripple removal all use it. The model of Zare and Cobb (2013, equations 3 and 4)
+is rendered by the same loop where a survey asks for it.
 
 The intensity of fully developed speckle is exponential about its mean m = g P + n0, with P the
-pulse, g the gain of a few blocks of range and n0 the noise floor. A clip enters through the number
-n of pixels and the sum of intensity in each bin of a phase-range histogram:
+pulse, g the gain that a few blocks of range share and n0 the noise floor. A clip enters through the
+number n of pixels and the mean intensity in each bin of a phase-range histogram:
 
     log L = - sum w n (log m + mean intensity / m)
 
-with w what a pixel is worth: less than one where speckle is correlated or the model may err.
+with w the weight of a pixel: less than one where speckle is correlated or the model may be wrong.
 
-All compiled functions that call each other are in this file: numba keeps compiled code on disk and
+All compiled functions that call each other are in this file: numba caches compiled code on disk and
 notices a change only in the file of the function that it compiled.
 """
 
@@ -29,13 +29,13 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# Facets a bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
+# Facets per bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
 FACETS = 3
-# Blocks of range of which one is rendered, where no shadow falls: pulses of the others lie between.
+# Stride of the blocks of range that are rendered where no shadow falls; others are interpolated.
 RENDERED = 3
-# Sums may be taken in any order, which lets the processor add several at once.
+# Fast-math flags: sums may be taken in any order, so that they can be vectorised.
 FAST = {"reassoc", "contract", "nsz", "arcp"}
-# Square of the last step of a gain, in its standard deviations, at which it counts as told.
+# Convergence limit of a gain: square of its last step, in standard deviations.
 GAIN_TOLD = 1e-4
 # Nodes of the scattering law over the sine of the local grazing angle.
 NODES = 512
@@ -44,53 +44,53 @@ LOG_SINES, OFFSETS = np.log(SINES), (np.arcsin(SINES) - 0.5 * np.pi) ** 2
 # Third harmonic of the crest profile over the square of the asymmetry: 1/2 in sin(x + a sin(x)),
 # 4/3 in a sawtooth. Stokes's second-order and the peaked profile have none.
 BOUND = 0.75
-# Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and the
-# largest that are tried: 0 is a sine, 0.25 in phase with the crest the peaked profile
+# Prior of the second harmonics of the crest profile over A_H, mean and standard deviation, and
+# their largest value: 0 is a sine, 0.25 in phase with the crest is the peaked profile
 # 2((1 + sin)/2)^2 - 1, and beyond 0.4 a second crest grows in the trough.
 PEAKEDNESS, ASYMMETRY, MOST_HARMONIC = (0.06, 0.09), (0.0, 0.2), 0.4
 # Prior of the scattering law sin^n exp(-c (theta - pi/2)^2), mean and standard deviation: n = 0,
 # c = 3/pi is Zare and Cobb's, n = 2, c = 0 Lambert's, near which real sand is at 5 to 40 degrees
-# (Boehme 1985; Olson et al. 2016); n = 4 is reached below a critical angle (APL-UW TR 9407). Bounds
-# that no sea floor reaches.
+# (Boehme 1985; Olson et al. 2016); n = 4 is reached below a critical angle (APL-UW TR 9407). The
+# bounds, of n and of c, lie beyond any sea floor.
 EXPONENT, CONCENTRATION = (1.6, 1.2), (0.5, 0.6)
 LAW_BOUNDS = (-1.5, 6.0)
 # Grazing angles between which a law's departure from the family is linear in the log of the sine.
 LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]))))
 # Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and
-# the power of range it follows in the image: 0 as received, 2 to 3 where the range trend was
-# taken out under Lambert's law.
+# the power of range that it follows in the image: 0 as received, 2 to 3 where the range trend was
+# removed under Lambert's law. Mean and standard deviation of the priors.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
 # Standard deviation of the log of the blur about its expectation.
 BLUR_SD = 0.35
 # Sampling coordinates that change no pulse: phase, noise floor and its power of range.
 NO_PULSE = (1, 7, 8)
-# Relative change whose log is told to 3e-5 by its first two terms.
+# Relative change below which two terms of its series give its log to a relative 3e-5.
 SMALL = 0.01
 LINE_OF_SIGHT, CREST = 1, 2
 
 
 class Parameters(NamedTuple):
-    """What one look at a clip is modelled by.
+    """Model parameters of one look at a clip.
 
     Attributes
     ----------
     wave_offset : float
-        Wave number along the look less that of the histogram, cycles/m.
+        Wave number along the look minus that of the histogram, cycles/m.
     phase : float
-        Of the ripple at the clip's centre less that of the histogram, rad.
+        Phase of the ripple at the clip's centre minus that of the histogram, rad.
     height : float
-        A_H, half of crest to trough, m.
+        A_H, half the height from trough to crest, m.
     exponent, concentration : float
         n and c of the scattering law, intensity sin^n(theta) exp(-c (theta - pi/2)^2).
     peakedness, asymmetry : float
-        p and q of the profile sin(x) - p cos(2x) - q sin(2x) + 3/4 q^2 sin(3x), scaled to a half
-        range of 1.
+        p and q of the profile sin(x) - p cos(2x) - q sin(2x) + 3/4 q^2 sin(3x), scaled so that half
+        its range is 1.
     noise, noise_slope : float
         Noise floor over the clip's mean intensity at mean range, and its power of range.
     blur : float
         Standard deviation of the image's blur along the look, cycles.
     altitude_scale : float
-        True altitude over that of the navigation.
+        True altitude over the altitude from the navigation.
     """
 
     wave_offset: float
@@ -107,20 +107,20 @@ class Parameters(NamedTuple):
 
 
 class Histogram(NamedTuple):
-    """A clip by phase and range: arrays (blocks, bins) or (blocks,).
+    """Histogram of a clip by phase and range: arrays (blocks, bins) or (blocks,).
 
     Attributes
     ----------
     pixel_count, intensity_sum : ndarray (blocks, bins)
-        Pixels that are not saturated, and sum of intensity over the clip's local mean; both times
-        what a pixel is worth.
+        Number of pixels that are not saturated, and sum of their intensity over the clip's local
+        mean; both times the weight of a pixel.
     phase_offset : ndarray (blocks, bins)
-        Mean phase of a bin's pixels from its middle, cycles.
+        Mean phase of a bin's pixels relative to its middle, cycles.
     range_offset : ndarray (blocks, bins)
-        Mean ground range of a bin's pixels less the block's, m: an edge of shadow moves within a
-        block, and bins of straight crests each see one place of it.
+        Mean ground range of a bin's pixels minus the block's, m: the edge of a shadow moves within
+        a block, and with straight crests each bin samples only one place of the block.
     place : ndarray (blocks,)
-        Mean place along the look from the clip's centre, m.
+        Mean position along the look relative to the clip's centre, m.
     ground_range, altitude : ndarray (blocks,)
         m.
     trend : ndarray (blocks,)
@@ -128,9 +128,9 @@ class Histogram(NamedTuple):
     group : ndarray of int (blocks,)
         Consecutive blocks that share a gain, numbered from 0.
     errors : ndarray (errors, blocks, bins)
-        Directions in which the log of the expected intensity may be wrong.
+        Possible errors of the log of the expected intensity, one standard deviation each.
     error_gain : ndarray (errors, errors)
-        Inverse of their information and prior precision together.
+        Inverse of the sum of their information and prior precision.
     """
 
     pixel_count: FloatArray
@@ -147,17 +147,17 @@ class Histogram(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """How a histogram is modelled.
+    """Geometry, priors and options with which a histogram is modelled.
 
     Attributes
     ----------
     along, across : float
-        Wave numbers of the histogram along and across the look, cycles/m; the first above 0.
+        Wave numbers of the histogram along and across the look, cycles/m; `along` is above 0.
     range_middle, altitude_middle : float
-        m.
+        Mean ground range and altitude over the pixels, m.
     altitude_sd : float
-        Standard deviation of the navigation's altitude, m, besides what the ripples under the sonar
-        make of it.
+        Standard deviation of the navigation's altitude, m, not counting the ripples under the
+        sonar.
     expected_blur : float
         Cycles.
     wave_sd : float
@@ -166,20 +166,21 @@ class Geometry(NamedTuple):
         Whether the histogram's phase is that of the image's fundamental (a phase field), not the
         ripple's.
     published : bool
-        Whether the wavelength is that of Zare and Cobb, equation 3.
+        Whether the wavelength is rendered by Zare and Cobb's equation 3.
     shadow : int
         LINE_OF_SIGHT or CREST, 0 where no shadow can fall.
     law_error : ndarray (LAW_KNOTS.size,)
         Departure of the log of the scattering law from its family, at the knots.
     third_harmonic : ndarray (2,)
-        Of the crest profile over A_H, sine and cosine.
+        Third harmonic of the crest profile over A_H, sine and cosine.
     fixed : ndarray (4,)
-        Exponent, concentration, peakedness and asymmetry where not estimated; NaN where they are.
+        Exponent, concentration, peakedness and asymmetry where they are fixed; NaN where they are
+        estimated.
     height_mean, height_sd, height_least, height_most : float
         Truncated Gaussian prior of A_H (ZC 7 and 9), m.
     steepness_middle, steepness_sd : float
-        Log-normal prior of crest to trough over wavelength: its median and the standard deviation
-        of its log; infinite for none.
+        Log-normal prior of the steepness (crest to trough over wavelength): its median and the
+        standard deviation of its log; a standard deviation of infinity means no such prior.
     """
 
     along: float
@@ -205,7 +206,7 @@ class Geometry(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def contrast_per_slope(exponent, concentration, tangent):  # type: ignore[no-untyped-def]
-    """Relative change of intensity with slope at a grazing angle, to first order: law and lean."""
+    """Relative change of intensity with slope at a grazing angle, to first order: law plus lean."""
     grazing = np.arctan(tangent)
     law = exponent / tangent - 2.0 * concentration * (grazing - 0.5 * np.pi)
     return law + tangent
@@ -213,10 +214,10 @@ def contrast_per_slope(exponent, concentration, tangent):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
-    """Return parameters at sampling coordinates: Gaussian under the prior, but for the first three.
+    """Return parameters at sampling coordinates, standard Gaussian a priori except the first three.
 
-    The third is the log of the contrast that A_H makes to first order, which an image tells, not of
-    A_H, which it tells by way of the law.
+    The third is the log of the first-order contrast that A_H makes. An image constrains the
+    contrast directly, but A_H only through the scattering law.
     """
     fixed = geometry.fixed
     exponent, concentration, peakedness, asymmetry = fixed[0], fixed[1], fixed[2], fixed[3]
@@ -230,10 +231,10 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
     middle = geometry.altitude_middle
     tangent = middle / geometry.range_middle
     rough = contrast / max(contrast_per_slope(exponent, concentration, tangent), 1e-9)
-    # the sonar's altitude is measured over crest or trough
+    # altitude may have been measured over a crest or a trough
     sd = np.sqrt(geometry.altitude_sd**2 + 0.5 * rough * rough)
     scale = max(1.0 + z[10] * sd / middle, 0.1)
-    # where shadow and contrast tell height over altitude, these two coordinates do not depend
+    # keeps coordinates 2 and 10 independent where shadow and contrast give height over altitude
     per_slope = contrast_per_slope(exponent, concentration, tangent * scale)
     height = contrast / per_slope if per_slope > 0.0 else np.inf
     return Parameters(
@@ -264,17 +265,17 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
         return -np.inf
     along = geometry.along + ripple.wave_offset
     frequency = np.hypot(along, geometry.across)
-    # sand stands no steeper than 45 degrees
+    # sand is no steeper than 45 degrees
     if along <= 0.0 or 2.0 * np.pi * frequency * height > 1.0:
         return -np.inf
-    value = np.log(height)  # of the change from A_H to the log of contrast
+    value = np.log(height)  # Jacobian of the change from A_H to the log of contrast
     value -= 0.5 * ((height - geometry.height_mean) / geometry.height_sd) ** 2
     if geometry.steepness_sd < np.inf:
         ratio = np.log(2.0 * height * frequency / geometry.steepness_middle)
         value -= np.log(height) + 0.5 * (ratio / geometry.steepness_sd) ** 2
     for i in range(3, z.size):
         value -= 0.5 * z[i] * z[i]
-    if geometry.follows_image:  # the field has taken up phase and wave number
+    if geometry.follows_image:  # the phase field has absorbed phase and wave number
         value -= 0.5 * (z[1] / 0.1) ** 2
         value -= 0.5 * (z[0] * geometry.range_middle / 0.1) ** 2
     else:
@@ -284,7 +285,7 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore[no-untyped-def]
-    """Crest profile over A_H, of mean 0, and its derivative by phase, at the middles of facets."""
+    """Fill the crest profile over A_H, of mean 0, and its phase derivative at facets' middles."""
     n = heights.size
     sine3, cosine3 = third[0] + BOUND * asymmetry * asymmetry, third[1]
     least, most = np.inf, -np.inf
@@ -307,16 +308,16 @@ def fill_profile(peakedness, asymmetry, third, heights, slopes):  # type: ignore
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_lit(elevation, part_of_range, crest, lit):  # type: ignore[no-untyped-def]
-    """Share of each facet that the sonar sees: what stands out over all that is nearer.
+    """Fill the share of each facet that the sonar sees, not hidden by anything nearer.
 
-    `elevation` is height over the sonar (below 0) of a wavelength's facets along the look, the
-    highest of them at `crest`, each `part_of_range` of the ground range apart. A point D nearer
-    hides one at range r where it is higher than the ray: h' - A > (h - A) (1 - D / r). A wavelength
-    before suffices. Edges of shadow are told to a fraction of a facet.
+    `elevation` is the height relative to the sonar (below 0) of a wavelength's facets along the
+    look, the highest of them at `crest`, spaced by `part_of_range` of the ground range. A point
+    nearer by D hides one at range r where it is above the ray: h' - A > (h - A) (1 - D / r). It
+    suffices to look back one wavelength. Edges of shadow are resolved to a fraction of a facet.
     """
     n = elevation.size
     lit[:] = 0.0
-    first = crest - 1 if crest > 0 else n - 1  # the facet before the crest, which none hides
+    first = crest - 1 if crest > 0 else n - 1  # the facet before the crest, which is never hidden
     horizon, apart = elevation[first], 0
     before, rise = 0.0, 0.0
     last = first
@@ -328,7 +329,7 @@ def fill_lit(elevation, part_of_range, crest, lit):  # type: ignore[no-untyped-d
             share = margin / (margin - before)
             if k <= n:
                 lit[i] = min(1.0, 0.5 + share)
-            if k > 1 and apart == 2:  # shadow sets in, or is about to end, between two facets
+            if k > 1 and apart == 2:  # shadow starts, or is about to end, between two facets
                 lit[last] = share
             elif k > 1 and 0.5 < share < 1.0:
                 lit[last] += share - 0.5
@@ -345,7 +346,7 @@ def fill_lit(elevation, part_of_range, crest, lit):  # type: ignore[no-untyped-d
 def fill_crest_rule(  # type: ignore[no-untyped-def]
     height, unit, wave, ground_range, altitude, lit
 ):
-    """Share of each facet in light by the published rule (ZC 4): a ray over the preceding crest."""
+    """Fill each facet's lit share by the published rule (ZC 4): a ray over the preceding crest."""
     n = lit.size
     before = 0.0
     for k in range(n + 1):  # from crest to crest
@@ -365,9 +366,9 @@ def fill_crest_rule(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
-    """Add facets' power to the two bins of phase about each one's place (cycles).
+    """Add each facet's power to the two phase bins nearest its place (cycles).
 
-    `place` becomes the lower bin's number, `beyond` what the upper one gets.
+    `place` is overwritten with the lower bin's number, `beyond` with the power of the upper one.
     """
     bins = pulse.size
     for i in range(place.size):
@@ -375,7 +376,7 @@ def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
         lower = np.int32(x)
         beyond[i] = (x - lower) * power[i]
         lower -= bins if lower >= bins else 0
-        place[i] = min(max(lower, 0), bins - 1)  # a number even of what is none
+        place[i] = min(max(lower, 0), bins - 1)  # a valid bin even where the place is NaN
     last, here, above = 0, 0.0, 0.0
     for i in range(place.size):
         low = int(place[i])
@@ -391,9 +392,9 @@ def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-def]
-    """Scattered intensity at NODES sines of the local grazing angle, 0 to 1.
+    """Fill the scattered intensity at NODES sines of the local grazing angle, from 0 to 1.
 
-    And its step to the next node: `law` is (2, NODES).
+    `law` is (2, NODES); its second row is the step to the next node.
     """
     known = error.any()
     for i in range(NODES):
@@ -407,7 +408,10 @@ def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
-    """Fill heights (m), slopes along the look and areas of a wavelength's facets, rows 0 to 2."""
+    """Fill rows 0 to 2 with heights (m), slopes along the look and areas of a wavelength's facets.
+
+    Areas are relative to the facets' horizontal area.
+    """
     third = geometry.third_harmonic
     fill_profile(ripple.peakedness, ripple.asymmetry, third, facets[0], facets[1])
     steepness = 2.0 * np.pi * ripple.height
@@ -422,9 +426,9 @@ def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
 def fill_echoes(  # type: ignore[no-untyped-def]
     wave, tangent, ground_range, crest, facets, law, power, place
 ):
-    """Fill a wavelength's facets' power and image phase (cycles), for a place at a ground range.
+    """Fill the power and image phase (cycles) of a wavelength's facets at a ground range.
 
-    `crest` is the number of the highest facet, below 0 where no shadow can fall. `facets` as
+    `crest` is the index of the highest facet, below 0 where no shadow can fall. `facets` is as
     :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
     """
     n = facets.shape[1]
@@ -439,12 +443,12 @@ def fill_echoes(  # type: ignore[no-untyped-def]
     bend = 0.5 * (1.0 + tangent * tangent) * per_range
     for i in range(n):
         h = heights[i]
-        # the ray's own grazing angle is less by h / range
+        # the ray to a facet of height h has a grazing angle less by about h / range
         grazing = (sine + (slopes[i] - h * per_range) * cosine) / areas[i]
         power[i] = min(max(grazing, 0.0), 1.0) * (NODES - 1)
-        # the range r whose r' = sqrt(r^2 + (A - h)^2 - A^2) this is, to second order
+        # imaged at range r' = sqrt(r^2 + (A - h)^2 - A^2), to second order
         place[i] = (i + 0.5) / n - h * (tangent - h * bend) * wave
-    # of a facet that the ray grazes a part may be lit where its middle is turned away
+    # with shadow `lit` is known: part of a facet may be lit though its middle is turned away
     if crest < 0:
         for i in range(n):
             lit[i] = 1.0 if power[i] > 0.0 else 0.0
@@ -490,8 +494,8 @@ def fill_published(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_blur(width, kernel):  # type: ignore[no-untyped-def]
-    """Gaussian of a standard deviation in bins, one side with its middle; return how many count."""
-    # deposit and interpolation blur by a sixth of a bin each, as variances
+    """Fill one side of a Gaussian of standard deviation `width` (bins); return its last index."""
+    # deposit and interpolation each add a sixth of a square bin of variance
     rest = width * width - 1.0 / 3.0
     variance = 0.5 * (rest + np.sqrt(rest * rest + 0.01))
     reach = min(int(4.0 * np.sqrt(variance)) + 1, kernel.size - 1)
@@ -522,7 +526,7 @@ def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def fill_between(ground_range, first, last, pulses, levels):  # type: ignore[no-untyped-def]
-    """Fill pulses and levels of the blocks between two that are rendered, linear in range."""
+    """Interpolate pulses and levels of the blocks between two rendered ones, linear in range."""
     for b in range(first + 1, last):
         share = ground_range[b] - ground_range[first]
         share /= ground_range[last] - ground_range[first]
@@ -533,7 +537,7 @@ def fill_between(ground_range, first, last, pulses, levels):  # type: ignore[no-
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def fill_lags(pulses, lags):  # type: ignore[no-untyped-def]
-    """Fill where each pulse's fundamental peaks, rad."""
+    """Fill the phase at which each pulse's fundamental peaks, rad."""
     blocks, bins = pulses.shape
     turn = np.cos(2.0 * np.pi / bins), np.sin(2.0 * np.pi / bins)
     for b in range(blocks):
@@ -548,9 +552,9 @@ def fill_lags(pulses, lags):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-untyped-def]
-    """Pulse of each block over ripple phase (blocks, bins), of mean 1.
+    """Fill the pulse of each block over ripple phase (blocks, bins), of mean 1.
 
-    `levels` become the mean intensity over that of flat sea floor there (blocks,).
+    `levels` (blocks,) becomes the mean intensity over that of flat sea floor at the same range.
     """
     blocks, bins = data.pixel_count.shape
     n = FACETS * bins
@@ -584,7 +588,10 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
-    """Most likely log gain of blocks that share one, by Fisher scoring, and its information."""
+    """Return the maximum likelihood log gain of blocks that share one, and its information.
+
+    By Fisher scoring.
+    """
     counts, sums = data.pixel_count, data.intensity_sum
     seen, expected = 0.0, 0.0
     for b in range(first, last):
@@ -611,8 +618,11 @@ def _gain(first, last, data, pulses, floors):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def pulse_at(pulse, phase):  # type: ignore[no-untyped-def]
-    """Pulse at any phase, cycles from its first bin; `pulse` ends with its first two bins again."""
-    # just below 0 rounds up to a whole cycle
+    """Interpolate a pulse at a phase, cycles from its first bin.
+
+    `pulse` ends with its first two bins again.
+    """
+    # a phase just below 0 rounds up to a whole cycle
     bins = pulse.size - 2
     place = (phase - np.floor(phase)) * bins
     low = np.uint32(min(max(np.int32(place), 0), bins))
@@ -621,14 +631,15 @@ def pulse_at(pulse, phase):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-untyped-def]
-    """Fill the pulse that each bin shows, at its pixels' phase and between two blocks at its range.
+    """Fill the expected pulse of each bin, at the mean phase and range of its pixels.
 
-    `closed` holds each block's pulse and its first two bins again, `shifts` its shift in cycles.
+    Pulses are interpolated between blocks. `closed` holds each block's pulse followed by its first
+    two bins again, `shifts` its shift in cycles.
     """
     blocks, bins = means.shape
     reach = data.ground_range
     for b in range(blocks):
-        # beyond the last, what the one before foretells
+        # extrapolate from the inner neighbour at either end
         before, after = (b - 1 if b > 0 else b + 1), (b + 1 if b + 1 < blocks else b - 1)
         if blocks == 1:
             before, after = 0, 0
@@ -647,7 +658,10 @@ def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_rendered(ripple, data, geometry, pulses, lags):  # type: ignore[no-untyped-def]
-    """Fill pulses (blocks, bins), and where a field is followed their lags (blocks,), rad."""
+    """Fill pulses (blocks, bins) and, where a phase field is followed, their lags (blocks,), rad.
+
+    Lags are 0 elsewhere.
+    """
     fill_pulses(ripple, data, geometry, pulses, np.empty(lags.size))
     lags[:] = 0.0
     if geometry.follows_image:
@@ -656,9 +670,9 @@ def fill_rendered(ripple, data, geometry, pulses, lags):  # type: ignore[no-unty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-untyped-def]
-    """Fill expected intensity of each bin, (blocks, bins), and gain of each block.
+    """Fill the expected intensity of each bin, (blocks, bins), and the gain of each block.
 
-    Return the gains' part of the likelihood: they are integrated out under 1 / gain.
+    Return the gains' term of the log likelihood: they are integrated out under the prior 1 / gain.
     """
     pulses, lags = np.empty(means.shape), np.empty(gains.size)
     fill_rendered(ripple, data, geometry, pulses, lags)
@@ -667,7 +681,7 @@ def fill_expected(ripple, data, geometry, means, gains):  # type: ignore[no-unty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_shown(ripple, data, geometry, pulses, lags, means, gains):  # type: ignore[no-untyped-def]
-    """Fill what :func:`fill_expected` does, from pulses and lags that are rendered already."""
+    """Fill the same as :func:`fill_expected`, from pulses and lags that are already rendered."""
     blocks, bins = means.shape
     floors, shifts = np.empty(blocks), np.empty(blocks)
     closed = np.empty((blocks, bins + 2))
@@ -712,10 +726,11 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_residuals(means, data, residuals):  # type: ignore[no-untyped-def]
-    """Signed root of the deviance of each bin, times its pixels; return the log likelihood.
+    """Fill the signed root deviance of each bin times its pixels; return the log likelihood.
 
-    To first order the intensity's relative residual, but an error that is fitted to it never gains
-    more than the misfit costs. The likelihood is that over the one of the image's own means.
+    To first order the root is the relative residual of the intensity, but an error fitted to it
+    never gains more than the misfit costs. The likelihood is relative to that of the observed means
+    of the bins.
     """
     counts, sums = data.pixel_count, data.intensity_sum
     level = 0.0
@@ -745,17 +760,18 @@ def log_posteriors(points, data, geometry):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_parameters(points, geometry, values):  # type: ignore[no-untyped-def]
-    """Fill parameters (n, fields of :class:`Parameters`) at points (n, coordinates)."""
+    """Fill the parameters (n, fields of :class:`Parameters`) at points (n, coordinates)."""
     for i in range(points.shape[0]):
         values[i] = parameters_at(points[i], geometry)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: ignore[no-untyped-def]
-    """Fill slopes of the log of the expected intensity, (free coordinates, all bins).
+    """Fill the derivatives of the log expected intensity, (free coordinates, all bins).
 
-    By differences over `size`, smaller for the wave number. `means` become the expected intensity
-    (blocks, bins), `prior` the slope and curvature of the log prior (free coordinates, 2).
+    By finite differences of step `size`, smaller for the wave number. `means` becomes the expected
+    intensity (blocks, bins), `prior` the derivative of the log prior and minus its second
+    derivative (free coordinates, 2).
     """
     gains, lags = np.empty(means.shape[0]), np.empty(means.shape[0])
     moved, pulses = np.empty(means.shape), np.empty(means.shape)
@@ -779,7 +795,7 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
             prior[k, 1] = max((2.0 * known - after - before) / step**2, 0.0)
         elif before > -np.inf:
             ripple, step = below, -step
-        elif not after > -np.inf:  # beyond the prior a ripple may be none that can be rendered
+        elif not after > -np.inf:  # outside the prior a ripple may be impossible to render
             continue
         if i in NO_PULSE:
             fill_shown(ripple, data, geometry, pulses, lags, moved, gains)
@@ -788,14 +804,14 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
         for b in range(means.shape[0]):
             for j in range(means.shape[1]):
                 change = moved[b, j] / means[b, j] - 1.0
-                # the log of 1 + change, to third order where it is small
+                # the log of 1 + change, two terms of its series where it is small
                 small = abs(change) < SMALL
                 log = change - 0.5 * change * change if small else np.log1p(change)
                 slopes[k, b * means.shape[1] + j] = log / step
 
 
 def named_parameters(points: FloatArray, geometry: Geometry) -> dict[str, FloatArray]:
-    """Return each parameter (...,) by its name, at sampling coordinates (..., coordinates)."""
+    """Return the parameters (...,) by name at sampling coordinates (..., coordinates)."""
     flat = points.reshape(-1, points.shape[-1])
     values = np.empty((len(flat), len(Parameters._fields)))
     fill_parameters(flat, geometry, values)

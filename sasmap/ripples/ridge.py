@@ -1,10 +1,10 @@
 """The ridge of a clip's posterior along the exponent of the scattering law.
 
-Law and height trade against each other: the posterior is a ridge that bends, along which the
-information changes by orders of magnitude, so that a Gaussian about its peak is a poor picture of
-it. Given the exponent it is nearly Gaussian. So the ridge is walked along, with a Gaussian at every
-step (as integrated nested Laplace approximations do: Rue, Martino and Chopin 2009); together they
-are what sampling starts from.
+Law and height trade off against each other: the posterior is a curved ridge along which the
+information changes by orders of magnitude, so that a Gaussian about its peak approximates it
+poorly. Given the exponent, it is nearly Gaussian. The ridge is therefore followed in steps, with a
+Gaussian at each (as in integrated nested Laplace approximations: Rue, Martino and Chopin 2009);
+their mixture is the initial proposal of the sampler.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ from sasmap.ripples.rendering import Geometry, Histogram, log_posterior
 
 FloatArray = NDArray[np.float64]
 
-# Log posterior below the best peak's at which another counts for nothing.
+# Difference of log posterior below the best peak at which another peak is negligible.
 NEGLIGIBLE = 15.0
-# A step along the ridge, in standard deviations there; its least and largest length in sampling
-# coordinates; steps to either side, and rounds of Fisher scoring in each.
+# Step along the ridge, in local standard deviations; its least and largest length in sampling
+# coordinates; most steps to either side, and rounds of Fisher scoring in each.
 STEP, SHORTEST, LONGEST, STEPS, ROUNDS = 1.0, 0.08, 0.8, 14, 4
-# Log of the mass below that of the ridge's best place at which a walk ends, and at which a place
-# counts for nothing.
+# Difference of log mass below the ridge's best place at which a walk ends, and at which a place is
+# negligible.
 END, NOTHING = 7.0, 9.0
-# Width of a place along the ridge over the step to the next, at most so many of its own variances.
+# Width of a place along the ridge over the step to the next, and its largest variance over the
+# local one.
 OVERLAP, WIDEST = 0.7, 1.5
 
 
@@ -55,14 +56,14 @@ class _Place:
         self.mass = peak.level + 0.5 * float(np.linalg.slogdet(2 * np.pi * inner)[1])
 
     def beside(self, step: float, free: NDArray[np.int64]) -> FloatArray:
-        """Coordinates a step along the tangent."""
+        """Return the coordinates one step along the tangent."""
         z = self.z.copy()
         z[free] += step * self.tangent
         return z
 
 
 def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]:
-    """Walk from each peak along its ridge, to both sides.
+    """Follow the ridge of each peak to both sides.
 
     Parameters
     ----------
@@ -74,8 +75,8 @@ def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list
     Returns
     -------
     list of Peak
-        Places on the ridges with a Gaussian about each, whose `level` is the log of its mass over
-        the largest; the peaks themselves where the law is fixed.
+        Places on the ridges with a Gaussian about each; `level` is the log of its mass over the
+        largest. Where the law is fixed, the peaks themselves.
     """
     known = [p for p in peaks if p.level > peaks[0].level - NEGLIGIBLE]
     if not np.isnan(geometry.fixed[0]):
@@ -90,12 +91,12 @@ def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list
 
 
 def _holds(place: Peak, offset: FloatArray) -> bool:
-    """Whether a point at an offset from a place on a ridge lies within its Gaussian."""
+    """Whether a point at an offset from a place on a ridge lies within the place's Gaussian."""
     return bool(offset @ np.linalg.solve(place.covariance, offset) < offset.size)
 
 
 def _walked(peak: Peak, data: Histogram, geometry: Geometry) -> list[Peak]:
-    """Places along the ridge of one peak, in order of their exponent."""
+    """Places along the ridge of one peak, sorted by exponent."""
     start = _Place(peak.z, data, geometry)
     free = free_coordinates(geometry)
     most = start.mass
@@ -120,7 +121,7 @@ def _walked(peak: Peak, data: Histogram, geometry: Geometry) -> list[Peak]:
 
 
 def _spread(ridge: list[_Place]) -> list[Peak]:
-    """Give each place a width along the ridge that reaches to the next."""
+    """Give each place a width along the ridge that overlaps with the next."""
     exponents = np.array([p.z[LAW] for p in ridge])
     peaks = []
     for k, place in enumerate(ridge):

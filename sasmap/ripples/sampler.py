@@ -1,8 +1,9 @@
 """Metropolis-Hastings with proposals learned in burn-in and then frozen.
 
-The log density may be any function of points; nothing here knows of ripples. States are proposed
-anew from a mixture of Student densities that is fitted to a weighted population (population Monte
-Carlo: Cappe, Guillin, Marin and Robert 2004), so that the kept draws come from reversible chains.
+The log density may be any function of points; nothing here is specific to ripples. The proposal is
+an independence proposal, a mixture of Student t densities fitted to a weighted population
+(population Monte Carlo: Cappe, Guillin, Marin and Robert 2004). It is frozen after burn-in, so that
+the kept draws come from reversible chains.
 """
 
 from __future__ import annotations
@@ -19,44 +20,45 @@ from sasmap.numerics.gaussians import Mixture, expectation_maximisation, fill_sq
 FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
 
-# Degrees of freedom of the proposal's components: tails that no posterior of a clip outlives.
+# Degrees of freedom of the proposal's components: heavier tails than the posterior of any clip.
 STUDENT = 8.0
-# By how much the fitted scales are widened: a proposal too narrow would not find out, but in eleven
-# dimensions a tenth too wide already halves the accepted share.
+# Factor by which the fitted scales are widened: a proposal that is too narrow would go unnoticed,
+# but in eleven dimensions one 10 % too wide already halves the acceptance rate.
 WIDENED = 1.04
 # Least log weight of a peak, below that of the first.
 LEAST_WEIGHT = 4.0
 # Most components, and the least variance of one over that of the whole population.
 COMPONENTS, FLOOR = 5, 1e-3
-# Local steps over the difference of two particles, times the root of twice the dimension.
+# Local step over the difference of two particles, times the square root of twice the dimension.
 LOCAL_STEP = 1.7
-# Share and width of a component as wide as all of a proposal, that bounds how far it can fall short
-# of the density; burn-in's rounds and their steps; accepted share and log of the density over the
-# proposal's at which they end, that over its median (pipelines/ripples/coherent.py).
+# Weight and width of a defensive component, relative to the whole proposal, which limits how far
+# the proposal can fall short of the density. Burn-in: most rounds, chains, steps per round, and the
+# limits at which it ends, of the acceptance rate and of the log of the largest density over the
+# proposal's relative to the median (pipelines/ripples/coherent.py).
 DEFENSIVE, WIDE = 0.15, 2.2
 ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 16, 0.3, 5.0
-# Draws a chain of a first round, and after which a proposal is learned once more.
+# Draws per chain in the first round, and those after which the proposal is learned once more.
 ROUND, RELEARN = 300, 1200
-# Steps of a chain that propose anew, to one local step.
+# Independence steps of a chain per local step.
 LOCAL = 4
-# Rounds of a mixture's fit, and the gain in mean log likelihood at which it ends.
+# Most iterations of a mixture's fit, and the gain in mean log likelihood at which it ends.
 EM_ROUNDS, EM_ENOUGH = 20, 1e-3
-# Share of a chain's draws that are independent, about.
+# Approximate share of a chain's draws that are independent.
 INDEPENDENT = 0.2
-# Points of a round in which a proposal is learned, and rounds at most; effective points a dimension
-# to which weights are flattened on the way, and with which it ends.
+# Importance sampling: points per round, most rounds, effective number of points per dimension to
+# which weights are flattened in between, and the one at which it ends.
 POINTS, MOST_ROUNDS, ADAPTED, ENOUGH = 300, 12, 4.0, 25.0
-# Distinct points a dimension from which a mixture can be fitted.
+# Distinct points per dimension above which a mixture can be fitted.
 LEAST_PLACES = 2
 
 
 class Proposal:
-    """A mixture of Student densities, frozen.
+    """A frozen mixture of Student t densities.
 
     Parameters
     ----------
     mixture : Mixture
-        Of their centres and scales.
+        Their weights, centres and scale matrices.
     """
 
     def __init__(self, mixture: Mixture) -> None:
@@ -104,7 +106,7 @@ class Chains(NamedTuple):
     excess : ndarray (chains, draws)
         Log of the density over the proposal's, at the draws.
     accepted : float
-        Fraction of the proposals.
+        Accepted fraction of the independence proposals.
     """
 
     draws: FloatArray
@@ -120,10 +122,10 @@ def metropolis_hastings(
     steps: int,
     rng: np.random.Generator,
 ) -> Chains:
-    """Run chains that propose anew at each step, and step locally before every few.
+    """Run chains with an independence proposal at each step, every few preceded by a local step.
 
-    The local steps are differences of two particles (ter Braak and Vrugt 2008); they
-    lead out of places that the proposal makes too little of.
+    The local steps are scaled differences of two particles (ter Braak and Vrugt 2008); they lead
+    out of regions where the proposal density is too low.
 
     Parameters
     ----------
@@ -133,7 +135,7 @@ def metropolis_hastings(
     particles : ndarray (n, size)
         The frozen population of the local steps.
     starts : ndarray (chains, size)
-        Of finite log density.
+        Points of finite log density.
     steps : int
     rng : Generator
 
@@ -180,29 +182,29 @@ def adapted(
     walkers: int,
     rng: np.random.Generator,
 ) -> tuple[Proposal, FloatArray, FloatArray]:
-    """Learn a proposal from many short chains in rounds of burn-in, until nothing is far beyond it.
+    """Learn a proposal from many short chains in rounds of burn-in, until it covers the density.
 
-    Where the density is much larger than the proposal a chain stays long, and such places are what
-    importance sampling did not find.
+    A chain stays long where the density is much larger than the proposal; these are the regions
+    that importance sampling missed.
 
     Parameters
     ----------
     log_density : callable
     proposal : Proposal
-        To begin with.
+        Initial proposal.
     particles : ndarray (n, size)
-        To begin from.
+        Initial population.
     walkers : int
-        Chains.
+        Number of chains.
     rng : Generator
 
     Returns
     -------
     proposal : Proposal
-        To be frozen.
+        To be used frozen.
     particles : ndarray (m, size)
     states : ndarray (walkers, size)
-        Where the chains ended, in random order.
+        Last states of the chains, in random order.
     """
     states = particles[rng.permutation(len(particles))[:walkers]]
     seen = np.empty((0, particles.shape[1]))
@@ -229,21 +231,21 @@ def sample(
     most: int,
     rng: np.random.Generator,
 ) -> tuple[Chains, bool]:
-    """Draw from a density until that suffices: population, burn-in, then a frozen proposal.
+    """Draw from a density until the draws suffice: population, burn-in, then a frozen proposal.
 
-    Where a first run of chains does not suffice, it becomes burn-in, and a proposal is learned from
-    it once more.
+    If a first run of chains does not suffice, it becomes burn-in and a proposal is learned from it
+    once more.
 
     Parameters
     ----------
     log_density : callable
     proposal : Proposal
-        To begin with.
+        Initial proposal.
     told : callable
         Whether draws (chains, draws, size) suffice.
     chains : int
     most : int
-        Draws a chain.
+        Most draws per chain.
     rng : Generator
 
     Returns
@@ -276,7 +278,7 @@ def sample(
 
 
 def defended(proposal: Proposal) -> Proposal:
-    """Return a proposal with one component more, wider than all of it (Hesterberg 1995)."""
+    """Return a proposal with an extra component wider than all of it (Hesterberg 1995)."""
     known = proposal.mixture
     mean = known.weight @ known.mean
     apart = known.mean - mean
@@ -292,7 +294,7 @@ def defended(proposal: Proposal) -> Proposal:
 
 
 def mixture_of_peaks(peaks: list[tuple[FloatArray, FloatArray, float]]) -> Proposal:
-    """Return a proposal about peaks: their place, covariance and log weight."""
+    """Return a proposal centred on peaks, given as location, covariance and log weight."""
     weight = np.exp(np.maximum([p[2] for p in peaks], -LEAST_WEIGHT))
     covariance = np.array([p[1] for p in peaks]) * WIDENED**2
     return Proposal(Mixture(weight / weight.sum(), np.array([p[0] for p in peaks]), covariance))
@@ -305,12 +307,12 @@ def fit_proposal(points: FloatArray, effective: float) -> Proposal:
     ----------
     points : ndarray (n, size)
     effective : float
-        Independent points that they are worth.
+        Effective number of independent points.
 
     Returns
     -------
     Proposal
-        Of as many components as the population's size supports.
+        The number of components is chosen by the Bayesian information criterion.
     """
     centre, scale = points.mean(axis=0), points.std(axis=0) + 1e-300
     z = (points - centre) / scale
@@ -329,14 +331,14 @@ def fit_proposal(points: FloatArray, effective: float) -> Proposal:
 
 
 def refitted(proposal: Proposal, points: FloatArray, effective: float) -> Proposal:
-    """Fit a proposal to a population; keep the one at hand where only few places are left."""
+    """Fit a proposal to a population; keep the present one if there are too few distinct points."""
     if np.unique(points[:, 0]).size <= LEAST_PLACES * points.shape[1]:
         return proposal
     return fit_proposal(points, effective)
 
 
 def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
-    """Fit n components, from slices along the direction in which the points are least Gaussian."""
+    """Fit n components, started from slices along the coordinate that is least Gaussian."""
     skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
     share = (order * n // len(z))[:, None] == np.arange(n)
@@ -358,7 +360,7 @@ def population(
     ----------
     log_density : callable
     proposal : Proposal
-        To begin with.
+        Initial proposal.
     rng : Generator
 
     Returns
@@ -389,13 +391,13 @@ def population(
 
 
 def effective_number(log_weight: FloatArray) -> float:
-    """Effective number of points by their importance weights."""
+    """Effective sample size of importance weights."""
     weight = np.exp(log_weight - log_weight.max())
     return float(weight.sum() ** 2 / (weight**2).sum())
 
 
 def tempered(log_weight: FloatArray, least: float) -> FloatArray:
-    """Flatten importance weights until their effective number is this large."""
+    """Flatten importance weights until their effective sample size is at least `least`."""
     power = 1.0
     while effective_number(power * log_weight) < least and power > 1e-4:
         power *= 0.8
@@ -404,7 +406,7 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
 
 
 def resampled(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Systematic resampling: n indices by weight."""
+    """Draw n indices in proportion to weight by systematic resampling."""
     places = (rng.random() + np.arange(n)) / n
     total = np.cumsum(weight)
     index = np.searchsorted(total / total[-1], places)

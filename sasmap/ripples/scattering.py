@@ -61,7 +61,7 @@ def profile_height(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName)
 
 
 def profile_slope(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName) -> FloatArray:
-    """Return the derivative of :func:`profile_height` by phase; times 2 pi f A_H the slope."""
+    """Return the phase derivative of :func:`profile_height`; times 2 pi f A_H it is the slope."""
     phase = np.asarray(phase, float)
     cosine = np.cos(phase)
     if profile == "sine":
@@ -99,9 +99,9 @@ def lit_amplitude(
     slope : array_like
         :func:`profile_slope` at the point, signed along the look.
     extreme : array_like
-        :func:`steepest` of the profile: the largest that `slope` gets.
+        :func:`steepest` of the profile: the largest value of `slope`.
     steepness : array_like
-        2 pi f A_H cos(alpha), at least 0: the profile as the look crosses it.
+        2 pi f A_H cos(alpha), at least 0: steepness of the profile along the look.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def lit_amplitude(
 def shadow_line_of_sight(
     height: ArrayLike, ground_range: ArrayLike, altitude: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Find what a ray from the sonar cannot reach: the reference scan, for any profile.
+    """Find the points that a ray from the sonar cannot reach: reference method for any profile.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def shadow_line_of_sight(
     ground_range : array_like (..., n)
         Increasing along the last axis and above 0, m.
     altitude : array_like (..., n)
-        Height of the sonar over h = 0, m.
+        Height of the sonar above h = 0, m.
 
     Returns
     -------
@@ -163,8 +163,8 @@ def shadow_crest_rule(
     Returns
     -------
     ndarray of bool
-        ZC 4 with the distance to the preceding crest in place of its misprinted g. It starts
-        shadow at about 1.38 times the range where a line of sight does.
+        ZC 4 with the distance to the preceding crest in place of its misprinted g. Shadow starts at
+        about 1.38 times the range at which it does by line of sight.
     """
     phase = np.asarray(phase, float)
     ground_range = np.asarray(ground_range, float)

@@ -1,4 +1,4 @@
-"""What a ripple estimate can be told: the ``ripples`` block of a survey file."""
+"""Settings of a ripple estimate: the ``ripples`` block of a survey file."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class RippleSettings(BaseModel):
 
 
 def scattering_law(setting: str | Exponent) -> tuple[float, float] | None:
-    """Exponent and concentration of a law that the settings fix, None where it is estimated.
+    """Exponent and concentration of the law if the settings fix it, None if it is estimated.
 
     Parameters
     ----------
@@ -93,5 +93,5 @@ def scattering_law(setting: str | Exponent) -> tuple[float, float] | None:
     """
     if isinstance(setting, Exponent):
         return setting.exponent, 0.0
-    # the Gaussian amplitude of Zare and Cobb has the variance pi/3
+    # the Gaussian amplitude of Zare and Cobb has variance pi/3
     return {"lambert": (2.0, 0.0), "zare-cobb": (0.0, 3.0 / math.pi)}.get(setting)

@@ -4,8 +4,9 @@ Amplitude over its trend is transformed, for the whole clip and for its parts, a
 summed over cells of wave vectors: a quarter octave of wavelength by twelve degrees. Ripples are a
 peak in both direction and wavelength, broad where their crests bend, fork and end, narrow where
 they do not. The alternatives have no such peak: texture and correlated speckle have power in all
-directions; trends, edges, bands and grain have more at longer wavelengths; lines and objects as
-much at shorter ones. Constants without another source were set with pipelines/ripples/presence.py.
+directions; trends, edges, bands and grain have more at longer wavelengths; lines and objects have
+as much at shorter ones. Constants without another source were set with
+pipelines/ripples/presence.py.
 """
 
 from __future__ import annotations
@@ -29,33 +30,33 @@ MIN_WAVES = 3.5
 MIN_PIXELS = 4.0
 # Cells of wave vectors: directions in half a turn, and cells per octave of wavelength.
 DIRECTIONS, OCTAVE = 15, 4
-# Distance from a peak in directions (of 12 degrees), and in cells of wavelength (quarter octaves),
-# of the cells that give the level without it: beyond the width of a peak whose crests fork every
+# Distance from a peak, in directions (of 12 degrees) and in cells of wavelength (quarter octaves),
+# of the cells that give the background level: beyond the width of a peak whose crests fork every
 # few wavelengths.
 ASIDE, LONGER, SHORTER = 4, (4, 7), (-4, -2)
 # Half-width, in cells of wavelength and of direction, of the peak of a wave whose crests bend.
 REACH = (2.0, 2.0)
-# Padded over original side of the image, and bins per independent bin after taper and padding
-# (computed from the two).
+# Padded over original side length of the image, and bins per independent bin after taper and
+# padding (computed from the two).
 PADDING, INDEPENDENT = 1.3, 1.5
-# Parts of a clip, half as long, at every quarter: fewest pixels a side of parts, and of halves.
+# Least side length, in pixels, of the parts of a clip (half its sides, at every quarter), and of
+# its halves.
 MIN_PART, MIN_HALF = 80, 60
-# Bins of the level without a peak over those of the peak; most bins of a peak that count (no
-# spectrum is smooth enough for more); largest ratio of power that counts.
+# Bins of the background level over those of the peak; most bins of a peak that count (no spectrum
+# is smooth enough for more); largest ratio of power that counts.
 REFERENCE, MOST_BINS, MOST = 2.0, 12.0, 300.0
-# Anisotropy of the spectrum that grain causes without ripples; power over that at shorter
-# wavelengths where there are none to compare with.
+# Anisotropy of the spectrum that grain causes without ripples; assumed ratio of power to that at
+# shorter wavelengths where there are none to compare with.
 UNEVEN, NO_SHORTER = 1.3, 2.5
-# Most nats by which the evidence against an alternative may exceed the least of them and still
-# count.
+# Cap on the evidence against an alternative, above that against the best alternative, nats.
 HEADWAY = 5.0
-# Bins around a narrow peak that give its level, and log of the number of bins that it is chosen
-# from.
+# Bins around a narrow peak that give its background level, and log of the number of bins that it is
+# chosen from.
 LINE_BINS, LINE_TRIALS = 12.0, 2.0
-# Most peaks kept per part: bounds the time.
+# Most peaks kept per part, to bound the time.
 MOST_PEAKS = 6
-# Least evidence of a peak, least valid share of a part, least wave number of a cell's centre over
-# MIN_WAVES, and radii of the centroid of a peak over its wave number.
+# Least evidence of a peak, least valid share of a part, least number of wavelengths at a cell's
+# centre over MIN_WAVES, and radii of the centroid of a peak over its wave number.
 WORTH, MIN_VALID, NEARLY, SPANS = 6.0, 0.4, 0.85, (0.3, 0.5)
 
 
@@ -67,13 +68,13 @@ class Table(NamedTuple):
     level : ndarray
         Mean power around each cell, over the variance of white noise.
     bins : ndarray
-        Number of independent bins in it.
+        Number of independent bins in that mean.
     aside, longer, shorter : ndarray
-        Mean power at other directions, longer and shorter wavelengths.
+        Mean power at other directions, at longer and at shorter wavelengths.
     narrow : ndarray
-        Highest bin around each cell.
+        Power of the highest bin around each cell.
     power : list of ndarray
-        Of the transforms.
+        Power of the transforms.
     full : tuple of int
         Size of the transforms.
     """
@@ -89,7 +90,7 @@ class Table(NamedTuple):
 
 
 def taper(count: int) -> FloatArray:
-    """Return the sine taper of a side of so many pixels."""
+    """Return a sine taper of `count` pixels."""
     return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count))
 
 
@@ -109,8 +110,8 @@ def _all(first: int, last: int) -> tuple[tuple[int, float], ...]:
     return tuple((k, 1.0) for k in range(first, last))
 
 
-# Sums over each cell and its neighbours (at half weight), over near directions, and over other
-# ones.
+# Weights of sums over each cell and its neighbours (at half weight), over neighbouring directions,
+# and over the other directions.
 _SOFT = ((-1, 0.5), (0, 1.0), (1, 0.5))
 _NEAR, _ASIDE = _all(-1, 2), _all(ASIDE, DIRECTIONS - ASIDE + 1)
 
@@ -137,9 +138,9 @@ class Cells:
     number : ndarray of int
         Cell of each bin of the transform, -1 for none.
     count : ndarray (wavelengths, directions)
-        Bins.
+        Number of bins of each cell.
     around : ndarray (wavelengths, directions)
-        Bins of each cell and its neighbours, the latter at half weight.
+        Number of bins of each cell and its neighbours, the latter at half weight.
     """
 
     number: NDArray[np.int32]
@@ -157,7 +158,7 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
     direction = np.floor(turn / np.pi * DIRECTIONS + 0.5).astype(np.int64) % DIRECTIONS
     lengths = int(np.ceil(np.log2(1.3 * max(shape) / MIN_PIXELS) * OCTAVE))
     used = (number >= 0) & (number < lengths)
-    used[full[0] // 2 + 1 :, 0] = False  # mirror image of the other half of this column
+    used[full[0] // 2 + 1 :, 0] = False  # conjugates of the other half of this column
     cell = np.where(used, number * DIRECTIONS + direction, -1).astype(np.int32)
     counted = np.bincount(cell[used], minlength=lengths * DIRECTIONS)
     count = counted.reshape(lengths, DIRECTIONS).astype(float)
@@ -165,7 +166,7 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
 
 
 def _transform(flat: FloatArray, valid: BoolArray, full: tuple[int, int]) -> NDArray[np.complex64]:
-    """Transform a tapered, padded image, scaled so that power is over that of white noise."""
+    """Transform a tapered, padded image, scaled so that white noise has its variance as power."""
     rows, columns = (taper(n) for n in flat.shape)
     pixels = float((rows**2) @ (valid @ (columns**2)))
     rows = rows / np.sqrt(max(pixels, 1e-9))
@@ -191,7 +192,7 @@ def _cell_sums(spectrum, cell, cells):  # type: ignore[no-untyped-def]
 
 
 def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
-    """1 at the cells (wavelengths, directions) outside the peak of a known wave, 0 at others."""
+    """Mask of cells (wavelengths, directions): 1 outside the peak of a known wave, 0 within it."""
     length = np.log2(1 / (float(np.hypot(*known)) * MIN_PIXELS)) * OCTAVE
     turn = np.arctan2(known[1], known[0]) / np.pi * DIRECTIONS
     direction = np.abs((np.arange(shape[1]) - turn + DIRECTIONS / 2) % DIRECTIONS - DIRECTIONS / 2)
@@ -254,7 +255,8 @@ class Peak(NamedTuple):
     waves : float
         Number of wavelengths in the part.
     energy : float
-        Its power over the variance of white noise, times the part's share of the clip.
+        Its mean power (white noise has its variance) times its number of independent bins, times
+        the part's share of the clip.
     above : float
         Share of its power above the level in other directions.
     part : tuple of slice
@@ -270,10 +272,10 @@ class Peak(NamedTuple):
 
 
 def _over(bins: FloatArray, ratio: FloatArray) -> FloatArray:
-    """Log likelihood ratio of power `ratio` times the level of twice as many reference bins.
+    """Log likelihood ratio for power `ratio` times the level of REFERENCE times as many bins.
 
-    For exponential laws with separate levels against a common one, the levels being estimated
-    (likelihood ratio of two gamma distributions).
+    Power is exponentially distributed; separate levels, both estimated, are compared with a common
+    one (likelihood ratio of two gamma distributions).
     """
     both = REFERENCE + 1
     level = (ratio + REFERENCE) / both
@@ -286,8 +288,8 @@ def _evidence(table: Table) -> FloatArray:
 
     A broad peak is compared with three spectra: that of texture, which has no direction, that of
     trends and edges, which grows with wavelength, and that of lines and objects, which does not
-    fall off at shorter wavelengths. Each may exceed the least evidence by a limited amount only. A
-    narrow peak is compared with the highest of the three.
+    fall off at shorter wavelengths. The three are added, each capped at HEADWAY above the least. A
+    narrow peak is compared with the highest of the three spectra.
     """
     bins = table.bins / (1 + table.bins / MOST_BINS)
     rivals = np.stack([table.aside * UNEVEN, table.longer, table.shorter])
@@ -338,7 +340,7 @@ def _centroid(
 ) -> FloatArray:
     """Centroid of the squared power around a wave, cycles per column and row.
 
-    `span` is its radius over the wave number: crests that bend and fork spread power.
+    `span` is the radius of the region over the wave number: crests that bend and fork spread power.
     """
     rows, columns = full
     reach = span * float(np.hypot(*per_pixel))
@@ -347,7 +349,7 @@ def _centroid(
         np.arange(int(np.floor(n * (m - reach))), int(np.ceil(n * (m + reach))) + 1)
         for n, m in sides
     )
-    # for a real image, the half plane that was not computed is the rotated other one
+    # the transform of a real image is symmetric: its other half plane was not computed
     mirrored = np.where(right < 0, -1, 1)
     here = power[(mirrored * down[:, None]) % rows, np.minimum(np.abs(right), power.shape[1] - 1)]
     east, north = right / columns, down[:, None] / rows
@@ -383,7 +385,7 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
     Parameters
     ----------
     flat : ndarray (rows, columns)
-        Amplitude over its trend, less 1; 0 where not valid.
+        Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
 
     Returns
@@ -409,7 +411,7 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
     Parameters
     ----------
     flat : ndarray (rows, columns)
-        Amplitude over its trend, less 1; 0 where not valid.
+        Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
     known : ndarray (2,)
         Cycles per column and row.

@@ -1,4 +1,4 @@
-"""What is kept of a look at a cell: its posterior in numbers."""
+"""Summary of the posterior of a look at a cell, in numbers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ NAN = float("nan")
 LAW = ("exponent", "concentration", "peakedness", "asymmetry")
 Numbers = tuple[float, ...]
 FloatArray = NDArray[np.float64]
-# Least contrast per slope: a law that grows with grazing angle has more.
+# Floor of the contrast per slope: any law that grows with grazing angle has more.
 LEAST_CONTRAST = 0.05
-# Change of log A_H with log altitude, mean and sd: 0.5 to 0.92 in eight coherent cells (5 to 35 m,
-# A_H 0.04 to 0.09 m) whose altitude was taken as known to 0.4 m, which the draws then tell.
+# Prior of the change of log A_H with log altitude, mean and standard deviation: 0.5 to 0.92 in
+# eight coherent cells (5 to 35 m, A_H 0.04 to 0.09 m), estimated from draws with an altitude error
+# of 0.4 m.
 ALTITUDE_GAIN = (0.75, 0.15)
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What is kept of the posterior of one look: numbers only; NaN where there are no ripples.
+    """Summary of the posterior of one look: numbers only; NaN where there are no ripples.
 
     Attributes
     ----------
     mean, sd, q05, q95 : tuple of float
-        Of f (cycles/m) and A_H (m), by this look alone (with the published method: combined).
+        Of f (cycles/m) and A_H (m), from this look alone (with the published method: combined).
     derived : Derived
         Wavelength and steepness.
     rhat, ess_bulk, ess_tail : tuple of float
@@ -41,30 +42,31 @@ class Summary:
     correlation : float
         Between f and A_H.
     azimuth : tuple of float
-        Axial mean and standard deviation of the crest normal's, degrees clockwise from grid north.
+        Axial mean and standard deviation of the crest normal's azimuth, degrees clockwise from grid
+        north.
     mixture : tuple of tuple of float
-        Gaussian mixture of log f, log contrast, azimuth in degrees, and exponent and concentration
-        of the law; of log f, log A_H and azimuth where the law is fixed: of each component its
-        weight, mean and covariance by rows. Empty without ripples.
+        Gaussian mixture over log f, log contrast, azimuth in degrees, and exponent and
+        concentration of the law; over log f, log A_H and azimuth where the law is fixed. For each
+        component its weight, mean, and covariance by rows. Empty without ripples.
     probability : float
-        That the cell is rippled.
+        Probability that the cell is rippled.
     coherence_length : float
         m.
     rippled_fraction, noise_factor : float
     exponent, exponent_sd, concentration, concentration_sd : float
-        Of the scattering law sin^n(theta) exp(-c (theta - pi/2)^2), by this look alone.
+        Of the scattering law sin^n(theta) exp(-c (theta - pi/2)^2), from this look alone.
     peakedness, asymmetry : float
         Second harmonics of the crest profile over A_H.
     defect_density : float
-        Places a square metre of rippled floor where crests split or end.
+        Number of places per square metre of rippled floor where crests split or end.
     reason : str
-        Why the look cannot tell whether there are ripples, in words; empty where it can.
+        Why the look cannot show whether there are ripples, in words; empty where it can.
     second_mean, second_sd : tuple of float
         Of f (cycles/m), A_H (m) and the azimuth (degrees) of a second system of ripples.
     window : float
-        Side of the area that was estimated, cells: more than 1 where a wave is too long for one.
+        Side length of the estimated area in cells; above 1 where a wave is too long for one cell.
     tangent, altitude : float
-        Of the grazing angle, and of the sonar, m, at the clip's middle.
+        Tangent of the grazing angle, and altitude of the sonar, m, at the clip's middle.
     altitude_gain, altitude_sd : float
         Change of log A_H with log altitude; accuracy of the altitude, m.
     crest_phase : tuple of float
@@ -197,7 +199,7 @@ def log_contrast(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
     law : ndarray (..., 2)
         n and c.
     tangent : ndarray or float
-        Of the grazing angle; broadcasts against the law's leading axes.
+        Tangent of the grazing angle; broadcasts against the law's leading axes.
 
     Returns
     -------
@@ -210,7 +212,7 @@ def log_contrast(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
 
 
 def contrast_slopes(law: FloatArray, tangent: FloatArray | float) -> FloatArray:
-    """Differentiate :func:`log_contrast` by n and c (..., 2)."""
+    """Return the derivatives of :func:`log_contrast` with respect to n and c (..., 2)."""
     per_slope = np.exp(log_contrast(law, tangent))
     each = np.broadcast_arrays(1 / tangent, 2 * (0.5 * np.pi - np.arctan(tangent)))
     return np.asarray(np.stack(each, axis=-1) / per_slope[..., None])
@@ -263,9 +265,9 @@ def _crest_phase(posterior: Posterior) -> tuple[float, float]:
 
 
 def _altitude_gain(posterior: Posterior) -> float:
-    """Change of log A_H with log altitude: the slope over the draws, drawn to its usual value.
+    """Change of log A_H with log altitude: the slope over the draws, shrunk to its prior mean.
 
-    Where the altitude is known well the draws alone tell it to ± 1 or worse.
+    Where the altitude is known well, the draws alone determine it to ± 1 or worse.
     """
     scale, height = (np.log(posterior.draws[name].values) for name in ("altitude_scale", "height"))
     variance = float(scale.var())

@@ -7,10 +7,11 @@ swath, and scatter between passes over one cell. Looks with shadow inform the la
 
 A survey may cover several sediments. Laws are drawn from a mixture of populations, each with its
 mean, spread, bias of the echo shape, and share of the cells. Where the map has several sediments,
-each has a population of its own, and a cell is of that of its sediment but for an error of the map:
-a sediment without shadow has the law of no other. Elsewhere there are two populations with unknown
-shares. Where there is one law, the two coincide or one has no cells: the posterior of a mixture
-with more components than the data need empties or merges them (Rousseau and Mengersen 2011).
+each has its own population, and a cell belongs to that of its sediment except for errors of the
+map, so that a sediment without shadow does not take its law from another. Elsewhere there are two
+populations with unknown shares. If there is only one law, the two coincide or one has no cells: the
+posterior of a mixture with more components than the data need empties or merges them (Rousseau and
+Mengersen 2011).
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ FloatArray = NDArray[np.float64]
 # Prior of the log spread of the law (n, c) from look to look: mean and standard deviation.
 # Sediments of one survey differ by a few tenths of n (Jackson and Richardson 2007, chapter 12).
 SPREAD_LOG, SPREAD_SD = np.log([0.25, 0.12]), 0.7
-# Standard deviation of the prior of the log scatter between passes (a choice: wide).
+# Standard deviation of the prior of the log scatter (log f, log A_H, azimuth) between passes (a
+# choice: wide).
 SCATTER_SD = np.array([1.0, 0.8, 0.8])
 # Standard deviation of the prior of the logit of the share of the law's variance from look to look.
 SHARE_SD = 1.0
@@ -55,16 +57,17 @@ ODD_LOGIT, ODD_SD = -3.5, 1.2
 FREEDOM = 4.0
 # Most looks from which shared parameters are estimated: more would not change them.
 MOST_LOOKS = 240
-# Populations of laws, and the scale of the prior of the logit of the share of one: nearly uniform
-# from 0 to 1. Distance in prior standard deviations of n from which a second maximum is sought.
+# Number of populations of laws, and the scale of the prior of the logit of the share of one: nearly
+# uniform from 0 to 1. Offset of n from the first maximum, in prior standard deviations, at which
+# the search for a second one starts.
 POPULATIONS, WEIGHT_SD, APART = 2, 1.7, 0.8
-# Mapped sediments: share of cells of another law than their sediment's (errors of the map: a
-# choice), fewest good looks for a population of its own and most populations (bounds time); further
-# sediments are of any.
+# Mapped sediments: share of cells whose law is not their sediment's (errors of the map: a choice),
+# fewest good looks for a population of its own and most populations (bounds time); other sediments
+# may belong to any population.
 MISTAKEN, LEAST_LOOKS, MOST_SEDIMENTS = 0.05, 4, 4
-# Two populations are told apart where their means differ by this many standard deviations (Ashman,
-# Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share of the
-# cells, in this share of the draws.
+# Two populations count as separate where their means differ by this many standard deviations
+# (Ashman, Bird and Zepf 1994: 2 is needed for a clear separation) and each has at least this share
+# of the cells, in this share of the draws.
 SEPARATION, LEAST_WEIGHT, SURE = 2.0, 0.1, 0.95
 # Step of numerical derivatives; iterations of the ascent and its largest step, in prior standard
 # deviations; chains and their steps; number of draws that represent the posterior.
@@ -72,12 +75,12 @@ STEP, CLIMB, FARTHEST, CHAINS, STEPS, VALUES = 1e-2, 40, 5.0, 4, 60, 24
 
 
 class Population(NamedTuple):
-    """A population of scattering laws: its share of the cells, and the shared parameters with it.
+    """A population of scattering laws: its share of the cells, and its shared parameters.
 
     Attributes
     ----------
     weight : float
-        Of all looks.
+        Share of all looks.
     shared : Shared
     within : ndarray (sediments,)
         Share within each sediment, as numbered in :attr:`Looks.sediment`.
@@ -116,10 +119,10 @@ class SurveyModel(NamedTuple):
     learned : bool
         Whether the law was estimated rather than fixed by the settings.
     populations : tuple of tuple of Population
-        Of each draw, one for each of `sediments`, or in increasing order of contrast; empty where
-        `values` says all.
+        For each draw one for each of `sediments`, or two in increasing order of contrast; empty
+        where `values` suffices.
     apart : bool
-        Whether the draws tell two populations apart, or there is one for each sediment.
+        Whether the draws separate two populations, or there is one for each sediment.
     sediments : tuple of int
         Mapped classes with a law of their own.
     """
@@ -137,7 +140,7 @@ class SurveyModel(NamedTuple):
 
     @property
     def found(self) -> tuple[tuple[Population, ...], ...]:
-        """Draws of each law that the survey tells apart: of one or of two."""
+        """Draws of each law that the survey can separate; of one law where it cannot."""
         if self.apart:
             return tuple(zip(*self.populations, strict=True))
         return (tuple(Population(1.0, v) for v in self.values),)
@@ -161,12 +164,12 @@ class SurveyModel(NamedTuple):
 
 
 def numbered(classes: Sequence[int] | None, sediments: tuple[int, ...]) -> NDArray[np.int64] | None:
-    """Return the place of cells' sediments among those with a law, from 1, or 0; None without.
+    """Return the number of each cell's sediment among those with a law, from 1; 0 for others.
 
     Parameters
     ----------
     classes : sequence of int or None
-        Mapped class of each cell, 0 where it is of several or of none.
+        Mapped class of each cell, 0 where it has several or none; None gives None.
     sediments : tuple of int
         Classes that have a law of their own.
     """
@@ -196,13 +199,13 @@ class _Layout:
     law : bool
         Whether the law is estimated.
     offset_sd : ndarray (swaths,)
-        m; 0 where an offset is not estimated.
+        Prior standard deviation of altitude offsets, m; 0 where an offset is not estimated.
     scatter : ndarray (3,) or None
-        Fixed, or None where it is estimated.
+        Fixed scatter, or None where it is estimated.
     passes : bool
         Whether any cell has two looks.
     cells : ndarray (1 + sediments,)
-        Looks at cells of no one sediment and of each.
+        Number of looks at cells whose sediment has no law of its own, then for each that has one.
     """
 
     def __init__(
@@ -237,7 +240,7 @@ class _Layout:
         self._gaussian = self.place["shift"].start
 
     def populations(self, point: FloatArray) -> Populations:
-        """Return the populations, and with each the shared parameters, of a vector."""
+        """Return the populations, each with its shared parameters, of a vector."""
 
         def at(name: str, count: int) -> FloatArray:
             values = point[self.place[name]]
@@ -273,7 +276,7 @@ class _Layout:
         )
 
     def _shares(self, weight: FloatArray) -> FloatArray:
-        """Share of each population (populations, 1 + sediments) in the cells of each sediment."""
+        """Share of each population in the cells of each sediment, (populations, 1 + sediments)."""
         if self.count == 1:
             return np.ones((1, self.cells.size))
         if self.cells.size == 1:
@@ -285,7 +288,7 @@ class _Layout:
         return np.column_stack([of_none, own])
 
     def split(self, point: FloatArray, apart: float) -> FloatArray:
-        """Move the means of n of the two populations apart, and their shifts against them."""
+        """Move the means of n of the two populations apart, and their shifts the opposite way."""
         moved = point.copy()
         for name, step in (("law", apart), ("shift", -apart)):
             moved[self.place[name]] += step * np.array([1.0, 0.0, -1.0, 0.0])
@@ -311,14 +314,14 @@ def learn(
     Parameters
     ----------
     looks : Looks or None
-        None without looks: the result is the prior.
+        If None, the result is the prior.
     swaths : int
     scatter : ndarray (3,) or None
         Fixed scatter between passes (log f, log A_H, degrees); None to estimate it.
     seed : int
         The same seed and looks give the same model to the bit.
     sediments : tuple of int
-        Mapped classes that the looks are numbered by, from 1.
+        Mapped classes in the order of the looks' sediment numbers, from 1.
 
     Returns
     -------
@@ -350,7 +353,7 @@ def learn(
 
 
 def _peaks(layout: _Layout, log_density: LogDensity) -> list[tuple[FloatArray, FloatArray, float]]:
-    """Climb to the maxima: of like populations, and of unlike ones; place, covariance, weight."""
+    """Find the maxima with equal and with different populations: place, covariance, log weight."""
     starts = [np.zeros(layout.size)]
     peaks: list[tuple[FloatArray, FloatArray, float]] = []
     best = -np.inf
@@ -374,7 +377,7 @@ def _peaks(layout: _Layout, log_density: LogDensity) -> list[tuple[FloatArray, F
 def _model(
     points: FloatArray, layout: _Layout, looks: Looks | None, rank: NDArray[np.int64]
 ) -> SurveyModel:
-    """Choose draws that represent the posterior: evenly over the quantity that A_H depends on."""
+    """Choose draws that represent the posterior, evenly over the contrast that A_H depends on."""
     draws = [layout.populations(p) for p in points]
     key = points[:, 0]
     if layout.law and looks is not None:
@@ -414,7 +417,7 @@ def _told_apart(draws: Sequence[Populations], tangent: float) -> bool:
 
 
 def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
-    """Sort swaths by their data, not by their place in the survey file.
+    """Sort swaths by their data, so that their order in the survey file does not matter.
 
     Returns the looks by cell and swath, and the new number of each swath.
     """
@@ -445,7 +448,7 @@ def _layout(
 
 
 def _thinned(looks: Looks) -> Looks:
-    """Keep whole cells, evenly over the survey."""
+    """Keep about MOST_LOOKS looks: whole cells, evenly over the survey."""
     cells = np.unique(looks.cell)
     if looks.cell.size <= MOST_LOOKS:
         return looks
