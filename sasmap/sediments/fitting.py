@@ -289,7 +289,7 @@ def fit(
 
 
 def starts_of(bins: Bins, family: Family) -> list[FloatArray]:
-    """Starting points: from moments, and for generalised K also at both ends of its ridge."""
+    """Return starting points, from moments; for generalised K also at both ends of its ridge."""
     share = bins.samples / bins.samples.sum()
     largest = float(bins.centre.max())
     rms = largest * float(np.sqrt(share @ (bins.centre / largest) ** 2))
