@@ -128,7 +128,7 @@ def pruned(
 
 
 def _seeded(points: FloatArray, n: int) -> FloatArray:
-    """Initial assignment of points to n groups: the nearest of spread-out seeds."""
+    """Assign points to n groups as a first guess: to the nearest of spread-out seeds."""
     z = points / (points.std(axis=0) + 1e-9)
     seeds = [int(np.argmin(((z - np.median(z, axis=0)) ** 2).sum(axis=1)))]
     for _ in range(n - 1):  # the point farthest from all seeds, except for the last 2 %
@@ -139,7 +139,7 @@ def _seeded(points: FloatArray, n: int) -> FloatArray:
 
 
 def _sliced(points: FloatArray, n: int) -> FloatArray:
-    """Initial assignment to groups: equal slices along the direction of greatest scatter."""
+    """Assign points to groups as a first guess: equal slices along the greatest scatter."""
     z = (points - points.mean(axis=0)) / (points.std(axis=0) + 1e-9)
     along = z @ np.linalg.eigh(z.T @ z)[1][:, -1]
     rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")

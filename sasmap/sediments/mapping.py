@@ -72,9 +72,9 @@ def refine_map(label: Labels, likelihood: Sequence[Any]) -> RefinedMap:
     Parameters
     ----------
     label : ndarray of uint8 (rows, columns)
-        Of :func:`sasmap.sediments.segmentation.class_map`.
+        Of :func:`sasmap.sediments.classmap.class_map`.
     likelihood : sequence of array (rows, columns)
-        One per class, of :func:`sasmap.sediments.segmentation.log_likelihoods`; read in slices.
+        One per class, of :func:`sasmap.sediments.classmap.log_likelihoods`; read in slices.
 
     Returns
     -------

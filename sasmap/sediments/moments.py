@@ -1,6 +1,7 @@
 """Fits of amplitude laws by Griffiths' methods: even moments, log-moments, histograms (G 3.4).
 
-For comparison and for starting values; sasmap itself uses :mod:`sasmap.sediments.fitting`.
+For comparison, and for ``method="MM"`` of :mod:`sasmap.sediments.distributions`; sasmap itself uses
+:mod:`sasmap.sediments.fitting`.
 """
 
 from __future__ import annotations

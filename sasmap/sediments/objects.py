@@ -42,7 +42,7 @@ LEAST_BRIGHT, LEAST_SHADOW = 6, 8
 BESIDE = 2
 # Maximum number of squares between parts of one object.
 APART = 6
-# Number of bright parts and shadows in a window of 576 pixels above which they are the floor itself.
+# Number of bright parts and shadows in a window (576 pixels) above which they are the floor itself.
 FIELD = 14
 # Cotangent of the grazing angle; at steeper angles objects cast negligible shadow, and the water
 # column may begin.

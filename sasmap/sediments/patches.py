@@ -60,7 +60,7 @@ def _joined(first, one, other):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _renumbered(number, first, count):  # type: ignore[no-untyped-def]
-    """Number the patches without gaps; returns the pixel count of each."""
+    """Renumber the patches without gaps; returns the pixel count of each."""
     last = 0
     for k in range(1, count + 1):
         if first[k] == k:
