@@ -1,5 +1,4 @@
-"""Second stage of the ripple estimate: the survey's shared parameters, then each cell given them.
-"""
+"""Second stage of the ripple estimate: the survey's shared parameters, and each cell given them."""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ CHANNELS = len(SCALES) + len(LAGS)
 # Side in pixels of the windows over which laws are averaged. On hand-labelled strips 33 alone has a
 # mean recall of 0.872, 17 alone 0.858, 9 and 33 together 0.880.
 WINDOWS = (9, 33)
-# Pixels per window that count as independent evidence at a boundary: a quarter of the largest
-# window.
+# Pixels by which a window's evidence is divided, so that a boundary counts it only once: a quarter
+# of the largest window.
 SHARED = 300.0
 # Margin in pixels that influences a place's channels (half the coarsest scale, or half the coarsest
 # lag and half of its average), and its evidence (half a window more). Whole blocks.
