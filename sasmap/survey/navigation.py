@@ -319,7 +319,7 @@ def read_navigation(
         CSV with a header; columns altitude and either longitude, latitude or x, y; others are
         ignored. One row per ping, in track order.
     crs : str
-        CRS of the track wanted.
+        CRS of the resulting track.
     tile_crs : str
         CRS of x, y where `navigation_crs` is None.
     navigation_crs : str or None
