@@ -173,7 +173,7 @@ class Surface(NamedTuple):
         return slice(0, self.shape[0]), slice(0, self.shape[1])
 
     def blocks(self, side: int) -> list[Part]:
-        """Blocks with a side in pixels, row by row."""
+        """Blocks of `side` by `side` pixels, row by row."""
         rows, columns = self.shape
         return [
             (slice(r, min(r + side, rows)), slice(c, min(c + side, columns)))

@@ -60,7 +60,7 @@ def describe_window(plan: Plan) -> Iterator[str]:
 
 
 def _wavelengths(plan: Plan, cells: float) -> tuple[list[float], int]:
-    """Wavelengths (m) in looks with ripples, for a window side in cells; looks examined."""
+    """Wavelengths (m) in looks with ripples, in windows `cells` cells wide; looks examined."""
     settings = plan.settings.ripples
     assert settings is not None
     pairs = [(cell, k) for cell, looks in plan.cells.items() for k in looks]

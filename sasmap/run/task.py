@@ -112,7 +112,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
 def _finished(
     context: Context, cell: Cell, look: Swath, prior: Prior, key: str, window: float = 1.0
 ) -> LookResult:
-    """Load a look's result from the store, or compute it, for a window side in cells."""
+    """Load a look's result from the store, or compute it, for a window `window` cells wide."""
     plan, store = context
     kept = store.load(key)
     if kept is not None:
@@ -284,7 +284,7 @@ def ripple_settings(plan: Plan) -> RippleSettings:
 def clip_of(
     plan: Plan, cell: Cell, look: Swath, side: Side, window: float = 1.0
 ) -> xr.DataArray | None:
-    """Read a look's clip of a cell, or of a window around it with a side in cells."""
+    """Read a look's clip of a cell, or of a window around it that is `window` cells wide."""
     grid = plan.opened.grid
     if window == 1:
         tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
@@ -298,7 +298,7 @@ def clip_of(
 
 
 def tiles_around(plan: Plan, cell: Cell, look: Swath, window: float = WIDER) -> tuple[Tile, ...]:
-    """Tiles of a look's pass that show a window with a side in cells, each once."""
+    """Tiles of a look's pass that show a window `window` cells wide around a cell, each once."""
     met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
     reach = int(np.ceil(0.5 * (window - 1) * grid.size / grid.spacing - 1e-9))
     steps = range(-reach, reach + 1)

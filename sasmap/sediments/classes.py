@@ -18,8 +18,8 @@ from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, Real, log_cota
 
 FloatArray = NDArray[np.float64]
 
-# Log amplitude below the survey's median (14 dB), or below the darkest known sediment (5 dB), at
-# which a block is not sediment; minimum number of such blocks from which their law is fitted.
+# Log amplitude below the survey's median (14 dB) and, where sediments are known, below the darkest
+# one (5 dB) at which a block is not sediment; minimum number of such blocks to fit their law.
 DARK, DARKER, LEAST_DARK = 1.6, 0.58, 4
 
 

@@ -30,14 +30,14 @@ LAMBERT = POWERS.index(1.0)
 # longest wave that is removed); margin in pixels that influences a place.
 STEP, AVERAGED, MARGIN = 4, 64, 256
 # Distances in blocks between the pairs that determine the power (nearer blocks differ by their
-# place on a ripple); maximum number of pairs for one direction and distance; difference of
-# corrections (log amplitude) between useful pairs, and minimum number of useful pairs.
+# place on a ripple); maximum number of pairs for one direction and distance; minimum range over the
+# powers of a useful pair's correction (log amplitude), and minimum number of useful pairs.
 LAGS, PAIRS, DIFFER, FEWEST = (4, 8, 16), 20_000, 0.03, 200
 # Minimum share of blocks that are free of ripples. Within one bed that fills a survey, power and
 # gain by range cannot be separated, and that gain is removed anyway.
 LEVEL = 0.1
 # Another power is preferred where its cost is below this share of that under Lambert's law. On
-# simulated beds beside flat floor, the right power has 0.92 to 0.99 of it under a Gaussian law, and
+# simulated beds beside flat floor, the best power has 0.92 to 0.99 of it under a Gaussian law, and
 # 0.9999 under Lambert's.
 BETTER = 0.998
 ROUNDS = 10

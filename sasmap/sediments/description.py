@@ -57,7 +57,7 @@ class BlockTexture:
     ----------
     sums : list of ndarray of float32 (block rows, block columns, 13)
         For each look: number of known pixels; sums of their log amplitude at each scale except the
-        coarsest, and of its squares; sums of squared differences. 0 where nothing is described.
+        coarsest, and of its squares; sums of squared differences. 0 outside the described tiles.
     gains : list of ndarray (block rows, block columns)
         Log gain that was subtracted.
     shown : ndarray of bool (block rows, block columns)

@@ -168,7 +168,7 @@ def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
     step = np.hypot(np.diff(x), np.diff(y))
     spacing = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     limit = max(SPACINGS * spacing, SIGMAS * TO_SD * float(np.median(away)))
-    # the last ping of a line is far from the median around it, but not from its extrapolation
+    # the last ping of a line is far from the median around it, but not from the line before it
     bad = (away > limit) & (np.minimum(*_from_either_side(x, y)) > limit)
     if bad.any():
         at = np.flatnonzero(bad)
