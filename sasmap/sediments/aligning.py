@@ -3,9 +3,9 @@
 Passes seldom have the same gain, and a look without marks has no class to be compared with. Where
 it overlaps a look of known gain, the shared floor determines its gain. Elsewhere its blocks are
 modelled as a mixture of the classes, each a Gaussian of the statistics of marked blocks (mean log
-amplitude, its variance at several scales, differences of neighbours); shares and gain are those of
-maximum likelihood. Texture does not depend on gain, so it separates a change of gain from a change
-of shares.
+amplitude, its variance at several scales, differences of neighbours); the most probable shares and
+gain are taken. Texture does not depend on gain, so it separates a change of gain from a change of
+shares.
 """
 
 from __future__ import annotations
