@@ -19,13 +19,14 @@ from sasmap.run.wording import duration
 from sasmap.settings.survey import load_survey, survey_schema
 from sasmap.version import VERSION
 
-# Finished cells from whose rate the remaining time is estimated (a choice: seconds to minutes).
+# Number of latest finished cells from whose rate the remaining time is estimated (a choice: seconds
+# to minutes).
 LATEST = 32
-# Parameters of glibc's heaps, and choices. Two that threads share (M_ARENA_MAX): one of its own
-# keeps what a thread's largest cell needed, 150 of 870 MB of a run of 25 Mpx with two threads, and
-# saves no time. Arrays up to 32 MB, the most that there can be, lie in them (M_MMAP_THRESHOLD), and
-# they keep 256 MB of what is free (M_TRIM_THRESHOLD): to ask the system for each took 2 of 34 s of
-# the sediment stage of 100 Mpx, and as much memory.
+# Parameters of glibc's heaps, and their values (choices). Threads share two heaps (M_ARENA_MAX): a
+# heap per thread keeps the memory of the thread's largest cell, 150 of 870 MB in a run of 25 Mpx
+# with two threads, and saves no time. Arrays up to 32 MB, the largest possible value, are allocated
+# in the heaps (M_MMAP_THRESHOLD), which keep 256 MB of free memory (M_TRIM_THRESHOLD): allocating
+# each from the system took 2 of 34 s of the sediment stage of 100 Mpx, and as much memory.
 HEAPS = ((-8, 2), (-3, 32 << 20), (-1, 256 << 20))
 AGAIN = 1.0  # seconds until an interrupt that was dropped is raised again (a choice)
 COMPLETE, INCOMPLETE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.setitimer(signal.ITIMER_REAL, 0)
         print(f"sasmap: {stop or 'interrupted'}; run again to go on from here", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # who reads the output has seen enough; Python flushes it once more
+    except BrokenPipeError:  # the reader has closed the pipe; Python would flush stdout once more
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return COMPLETE
     except OSError as error:
@@ -184,7 +185,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _repeat(warnings: Sequence[str]) -> None:
-    """Repeat the warnings at the end, where they are not scrolled past."""
+    """Repeat the warnings at the end, where they remain visible."""
     if not warnings:
         return
     count = len(warnings)
@@ -198,7 +199,7 @@ def _repeat(warnings: Sequence[str]) -> None:
 
 
 def _readable(line: str) -> str:
-    """Escape what a terminal cannot show."""
+    """Escape characters that a terminal cannot show."""
     return line.encode("utf-8", "backslashreplace").decode()
 
 
@@ -242,7 +243,7 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _log(quiet: bool) -> None:
-    """Print what is logged; the log file in the output folder always has all of it."""
+    """Print log messages; the log file in the output folder always holds all of them."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))
     handler.setLevel(logging.WARNING if quiet else logging.INFO)
@@ -261,8 +262,8 @@ def _completion(options: argparse.Namespace) -> int:
 class _Progress:
     """A progress bar on a terminal, ten lines elsewhere: cells done, rate, time left.
 
-    The rate is that of the last cells: the first ones wait for compilation, and those that an
-    earlier run finished take no time.
+    The rate is that of the latest cells: the first ones wait for compilation, and those finished by
+    an earlier run take no time.
     """
 
     def __init__(self) -> None:
@@ -294,17 +295,17 @@ class _Progress:
 
 
 def _terminated(*_: object) -> None:
-    """Interrupt the run, again each second until something acts on it.
+    """Interrupt the run, and again each second until the interrupt takes effect.
 
-    Python drops an exception that reaches it in a callback of its own, as of an import's lock.
+    Python drops an exception raised in one of its own callbacks, such as that of an import lock.
     """
-    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):  # else the run is ending already
+    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):  # otherwise the run is already ending
         signal.setitimer(signal.ITIMER_REAL, AGAIN)
         raise KeyboardInterrupt("terminated")
 
 
 def _share_heaps() -> bool:
-    """Limit the heaps of threads, where the C library can; whether it has done so."""
+    """Limit the heaps of threads, where the C library can; return whether it was done."""
     limit = getattr(ctypes.CDLL(None), "mallopt", None)
     return limit is not None and all(limit(*one) == 1 for one in HEAPS)
 
@@ -312,7 +313,7 @@ def _share_heaps() -> bool:
 def console() -> None:
     """Run as a command; an interrupt does not wait for unfinished cells, which are discarded."""
     _share_heaps()
-    # of a batch system: ends as an interrupt does
+    # a batch system's signal ends the run in the same way as an interrupt
     signal.signal(signal.SIGTERM, _terminated)
     signal.signal(signal.SIGALRM, _terminated)
     status = main()

@@ -17,18 +17,18 @@ class Canvas:
     """A raster of zeros on disk whose slices are arrays; threads and processes may share it.
 
     It is stored in square blocks, so that a slice takes a few reads, not one per row. Its file is
-    opened for each slice, because a network file system shows what others wrote on opening. A
-    pickled canvas is the same raster wherever the same folder is visible.
+    opened for each slice, because a network file system shows the writes of others only on opening.
+    A pickled canvas is the same raster wherever the same folder is visible.
 
     Parameters
     ----------
     path : Path
-        Of the file, which is removed when the canvas is closed.
+        The file, which is removed when the canvas is closed.
     shape : tuple of int
         Rows and columns.
     dtype : str
     block : int
-        Pixels a side of the blocks; slices along their edges are fastest.
+        Side of the blocks in pixels; slices along their edges are fastest.
     """
 
     def __init__(self, path: Path, shape: tuple[int, int], dtype: str, block: int = 256) -> None:
@@ -115,7 +115,7 @@ class Canvas:
                     rows.start - box[0] : rows.stop - box[0],
                     columns.start - box[2] : columns.stop - box[2],
                 ]
-                if part.shape[1] == self._block:  # whole rows of the block lie in one piece
+                if part.shape[1] == self._block:  # whole rows of the block are contiguous
                     _write(file, part.tobytes(), self._offset(number, rows.start, 0))
                 else:
                     for k, row in enumerate(part, rows.start):

@@ -47,7 +47,7 @@ class Area(NamedTuple):
     shape : shapely geometry
         Polygon or multipolygon, map coordinates.
     number : int
-        Of its class.
+        Number of its class.
     name, code : str
     area : float
         m^2.

@@ -17,7 +17,7 @@ def write_json(path: Path, content: Any, scratch: Path) -> None:
     ----------
     path : Path
     content : object
-        Of dicts with text keys, lists, tuples, text, numbers and None.
+        Nested dicts with text keys, lists, tuples, text, numbers and None.
     scratch : Path
         Folder for the unfinished file.
     """

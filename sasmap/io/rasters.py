@@ -17,7 +17,7 @@ from rasterio.windows import Window
 
 from sasmap.io.files import write_text, written_whole
 
-# Rows of pixels written at once, and GDAL's cache, MB: what bounds memory (a choice).
+# Rows of pixels written at once, and GDAL's cache, MB: these bound memory (a choice).
 STRIPE, CACHE = 512, 64
 
 

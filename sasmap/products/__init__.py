@@ -1,1 +1,1 @@
-"""What a run writes: rasters, vectors, tables, QGIS project, report."""
+"""The products of a run: rasters, vectors, tables, QGIS project, report."""

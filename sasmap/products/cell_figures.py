@@ -16,7 +16,7 @@ from sasmap.products.figures import INK, Picture, encoded, plain, scale_bar
 from sasmap.ripples.fusion import FusedCell
 from sasmap.sediments.fitting import Law
 
-# Most pass names that fit side by side under a figure.
+# Maximum number of pass names that fit side by side under a figure.
 FEW = 3
 # Quantile of the clip's amplitudes that is drawn white (speckle has a long tail), and colour of the
 # arrow along the look.

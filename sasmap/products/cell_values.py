@@ -40,12 +40,12 @@ class CellResult(NamedTuple):
 
     @property
     def used(self) -> list[str]:
-        """Passes that the cell's values are estimated from, in order."""
+        """Passes from which the cell's values are estimated, in order."""
         return list(dict.fromkeys(self.passes[k] for k in self.fused.group))
 
 
 def _wavelength(estimate: CellEstimate) -> tuple[float, ...]:
-    # falls with f: the quantiles change places
+    # the wavelength decreases with f, so the quantiles swap
     ends = (1 / f if f > 0 else float("nan") for f in (estimate.q95[0], estimate.q05[0]))
     return (*estimate.derived.wavelength, *ends)
 
@@ -54,7 +54,7 @@ def _sampled(estimate: CellEstimate, i: int, factor: float = 1.0) -> tuple[float
     return tuple(factor * getattr(estimate, name)[i] for name in STATISTICS)
 
 
-# Mean, standard deviation, 5 and 95 % quantiles of what ripples are described by.
+# Mean, standard deviation, 5 and 95 % quantiles of the quantities that describe ripples.
 QUANTITIES: dict[str, Callable[[CellEstimate], tuple[float, ...]]] = {
     "wavelength": _wavelength,
     "crest_to_trough": lambda estimate: _sampled(estimate, 1, 2.0),
@@ -94,7 +94,7 @@ def cell_probability(summaries: Sequence[Summary | None], fused: FusedCell) -> f
 
 
 # The bands of each raster with one pixel per cell, by file: a new product of the catalogue needs a
-# line here (or in QUANTITIES); cells' vectors, table and ripples.nc take it from there.
+# line here (or in QUANTITIES); the cells' vectors and table and ripples.nc use it from there.
 VALUES: dict[str, Callable[[CellResult], Sequence[float]]] = {
     **{
         f"ripple_{name}.tif": lambda cell, tell=tell: tell(cell.fused.final)  # type: ignore[misc]
@@ -138,7 +138,7 @@ def cell_products() -> dict[str, Product]:
 def raster(
     file: str, results: Mapping[tuple[int, int], CellResult], bands: int, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """Write a product's values onto the grid.
+    """Arrange a product's values on the grid.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def attributes(results: Sequence[CellResult]) -> dict[str, list[Any]]:
 
 
 def label(estimate: CellEstimate) -> str:
-    """Label of a cell on a map: wavelength and height, to a millimetre at most."""
+    """Label of a cell on a map: wavelength and height, to a millimetre at best."""
     length, height = (statistics(estimate, k) for k in ("wavelength", "crest_to_trough"))
     if not np.isfinite(length[0]):
         return ""

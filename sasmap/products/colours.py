@@ -35,7 +35,8 @@ QUALITY_COLOURS: dict[Quality, Colour] = {
     Quality.TOO_FEW_PIXELS: (240, 228, 66),
     Quality.FAILED: (213, 94, 0),
 }
-# Factor by which the colours are darkened when they repeat; colours along a ramp (a choice).
+# Factor by which the colours are darkened when they repeat; number of colours along a ramp (a
+# choice).
 SHADE = 0.7
 STOPS = 9
 

@@ -19,8 +19,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 LAYER = "extent"
-# Smoothed weight of the observed places from which an unobserved place takes its surroundings'
-# value: a hole (1 in its middle when small), not the edge of the coverage (0.5).
+# Smoothed weight of the observed places above which an unobserved place takes the value of its
+# surroundings: a hole (1 in its middle when small), not the edge of the coverage (0.5).
 SEEN = 0.6
 
 
@@ -31,7 +31,7 @@ class Outline(NamedTuple):
     ----------
     polygon : shapely.Polygon
     wavelength : float
-        Of its ripples, m.
+        Wavelength of its ripples, m.
     """
 
     polygon: shapely.Polygon

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 
-# Most pixels a side of the rasters in a figure, and its resolution: bound the report's size (a
-# choice).
+# Maximum side in pixels of the rasters in a figure, and its resolution: these bound the report's
+# size (a choice).
 MOST = 1000
 DPI = 130
 INK = "#333333"
@@ -87,7 +87,7 @@ def scale_bar(axes: Axes, box: Box) -> None:
 
 
 def round_length(most: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above a length."""
+    """Largest of 1, 2, 5 times a power of ten that does not exceed a length."""
     step = 10.0 ** np.floor(np.log10(most))
     return float(step * max(v for v in (1, 2, 5) if v * step <= most * (1 + 1e-9)))
 

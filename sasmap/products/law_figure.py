@@ -1,4 +1,4 @@
-"""Figure of the estimated scattering law beside Lambert's and the published one."""
+"""Figure of the estimated scattering law with Lambert's and the published law."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ FloatArray = NDArray[np.float64]
 
 # Laws drawn beside the estimated one: exponent n, concentration c, and the line style.
 OTHERS = {"Lambert": (2.0, 0.0, "--"), "Zare and Cobb": (0.0, 3 / np.pi, ":")}
-# Of the estimated laws: blue, vermilion, green, purple.
+# Colours of the estimated laws: blue, vermilion, green, purple.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 # Ratio of the widths of posterior and prior intervals of n below which the data constrain the law
 # (a choice), and the 90 % interval of a Gaussian prior in standard deviations.
 FIXED = 0.5
 PRIOR_WIDTH = 2 * 1.645
-# Shift of n from which the law is said to be of another form: laws close to this form give 0.2 to
-# 0.6 (docs/results.md).
+# Shift of n above which the law is reported to have another form: laws close to this form give 0.2
+# to 0.6 (docs/results.md).
 BENT = 0.7
 
 
@@ -36,8 +36,8 @@ def law_figure(
     ----------
     survey : SurveyModel or None
     grazing : tuple of float
-        Least and largest grazing angle of the survey's cells, degrees: the law is drawn from a
-        third of the least to 75 degrees, relative to their middle.
+        Smallest and largest grazing angle of the survey's cells, degrees: the law is drawn from a
+        third of the smallest to 75 degrees, relative to their geometric mean.
     sediments : sequence of str
         Names of the mapped classes.
 
@@ -76,7 +76,7 @@ def law_figure(
 
 
 def law_names(survey: SurveyModel, sediments: Sequence[str] = ()) -> list[str]:
-    """Name each law that the survey tells apart, by its sediment or its share of the cells."""
+    """Name each law that the survey separates, by its sediment or its share of the cells."""
     if not survey.apart:
         return ["estimated"]
     if survey.sediments:
@@ -89,7 +89,7 @@ def law_names(survey: SurveyModel, sediments: Sequence[str] = ()) -> list[str]:
 
 
 def level(n: float, c: float, degrees: FloatArray, middle: float) -> FloatArray:
-    """Intensity of a law, dB over that at `middle` degrees."""
+    """Intensity of a law, dB relative to that at `middle` degrees."""
     angle, base = np.radians(degrees), np.radians(middle)
 
     def log(at: FloatArray) -> FloatArray:

@@ -25,7 +25,8 @@ from sasmap.products.ranges import GAMMA, digits_for, has_content, padded_range,
 
 Codes = Mapping[int, tuple[str, Colour]]
 
-# Opacity of sediments over the mosaic, and longest ripple symbol over a cell's side (a choice).
+# Opacity of sediments over the mosaic, and longest ripple symbol relative to a cell's side (a
+# choice).
 VEIL, LONGEST = 0.45, 0.8
 
 
@@ -90,7 +91,7 @@ def map_of(path: Path) -> Picture:
 
 
 def codes_of(path: Path, names: Codes, caption: str) -> Picture:
-    """Draw a raster of codes with its legend; over sediments their boundaries.
+    """Draw a raster of codes with its legend; for sediments also their boundaries.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ class ModelledAmplitude:
     shape : tuple of int
         Rows and columns of cells.
     window : int
-        Pixels a side of a cell.
+        Side of a cell in pixels.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""ripples.nc: everything per pass and cell, and the combined value of each quantity (CF-1.11)."""
+"""ripples.nc: all results per pass and cell, and the combined value of each quantity (CF-1.11)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sasmap.ripples.detection import Unclear
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
 from sasmap.ripples.survey import SurveyModel
 
-# Of f, A_H and the azimuth.
+# Convergence diagnostics of f, A_H and the azimuth.
 CONVERGENCE = {
     "rhat": "rank-normalised split R-hat",
     "ess_bulk": "bulk effective sample size",
@@ -52,9 +52,9 @@ SINGLE = {
     "peakedness": ("1", "in-phase second harmonic of the crest profile over A_H"),
     "asymmetry": ("1", "quadrature second harmonic of the crest profile over A_H"),
 }
-# Units of the catalogue as UDUNITS writes them.
+# Units of the catalogue in UDUNITS notation.
 UNITS = {"cycles/m": "m-1", "degrees": "degree"}
-# What the first of several bands adds to the name of the quantity.
+# Suffix of the first of several bands after the name of the quantity.
 STATISTIC = re.compile(r", (axial )?mean$")
 
 
@@ -72,7 +72,7 @@ def write_ripples_netcdf(
     scratch: Path,
     survey: SurveyModel | None = None,
 ) -> list[Path]:
-    """Write everything per look and cell: prior, posterior, convergence, quality; and combined.
+    """Write prior, posterior, convergence and quality per look and cell, and combined values.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def _shared(survey: SurveyModel | None) -> dict[str, Any]:
 
 
 def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]) -> dict[str, Any]:
-    """Collect the laws (statistic, sediment) that the survey tells apart."""
+    """Collect the laws (statistic, sediment) that the survey separates."""
     mapped = "laws of mapped classes" if survey.sediments else "laws told apart, not mapped classes"
     described = {
         "share": "share of the cells",
@@ -206,12 +206,12 @@ def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]
 
 
 def _meaning(band: Band) -> str:
-    """Name what a product's first band holds, without the statistic."""
+    """Name the quantity in a product's first band, without the statistic."""
     return STATISTIC.sub("", band.text)
 
 
 def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, int]) -> Any:
-    """Collect the combined value of each quantity (statistic, y, x) and verdict (y, x)."""
+    """Collect the combined value of each quantity (statistic, y, x) and quality codes (y, x)."""
     variables: dict[str, Any] = {}
     flat = ("y", "x")
     for name, product in cell_products().items():
@@ -224,7 +224,7 @@ def _combined(results: Mapping[tuple[int, int], CellResult], shape: tuple[int, i
             "units": UNITS.get(band.unit, band.unit),
             "long_name": f"{_meaning(band)}, all passes combined",
         }
-        if len(product.bands) == 1:  # that of each pass has the name alone
+        if len(product.bands) == 1:  # the value per pass has the plain name
             variables[f"cell_{name}"] = (flat, values[0], about)
         else:
             variables[name] = (("statistic", *flat), values, about)

@@ -12,12 +12,13 @@ from sasmap.catalogue import BY_FILE
 
 FloatArray = NDArray[np.float64]
 
-# Least half-width of the range in standard deviations of the values, so that noise is not stretched
-# over the whole ramp: 95 % of a Gaussian.
+# Minimum half-width of the range in standard deviations of the values, so that noise is not
+# stretched over the whole ramp: 95 % of a Gaussian.
 COVERED = 2.0
 # Quantiles between which an amplitude image is stretched: speckle has a long tail.
 DARK, BRIGHT = 0.01, 0.99
-# Pixels a side, about, from which the range is computed (bounds time and memory).
+# Approximate side in pixels of the decimated raster from which the range is computed (bounds time
+# and memory).
 SIDE = 1000
 
 
@@ -27,7 +28,7 @@ def has_content(path: Path) -> bool:
 
 
 def sampled(path: Path, band: int) -> FloatArray:
-    """Read the valid values (n,) of a raster's band, decimated to a thousand pixels a side."""
+    """Read the valid values (n,) of a raster's band, decimated to about 1000 pixels per side."""
     with rasterio.open(path) as source:
         factor = max(1, max(source.shape) // SIDE)
         shape = (max(source.height // factor, 1), max(source.width // factor, 1))
@@ -50,8 +51,8 @@ def range_of(path: Path) -> tuple[float, float]:
     Returns
     -------
     low, high : float
-        The ramp's own limits where it has any; quantiles of amplitudes; else all values, and at
-        least the measured uncertainty around their middle.
+        The ramp's own limits where it has any; quantiles for amplitudes; otherwise the range of all
+        values, and at least the measured uncertainty around their middle.
     """
     product = BY_FILE[path.name]
     assert product.ramp is not None

@@ -18,7 +18,7 @@ def write_report(path: Path, content: Mapping[str, Any], scratch: Path) -> Path:
     ----------
     path : Path
     content : mapping
-        What the template ``report.html.j2`` shows.
+        Values for the template ``report.html.j2``.
     scratch : Path
 
     Returns

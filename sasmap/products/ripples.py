@@ -83,7 +83,7 @@ def write_cells(
     folder : Path
     results : mapping of (row, column) to CellResult
     transform : Affine
-        Of rasters with one pixel per cell.
+        Affine of rasters with one pixel per cell.
     crs : str
         WKT.
     size : float

@@ -22,8 +22,8 @@ from sasmap.io.rasters import Category, Layer, float_layer, write_large_cog
 from sasmap.products.colours import class_colour
 from sasmap.sediments.mapping import Line
 
-# Rows read at once (bounds memory), and pixels of a corner that an outline may cut off: less than a
-# step of the staircase that pixels make.
+# Rows read at once (bounds memory), and area in pixels of a corner that an outline may cut off:
+# less than a step of the pixel staircase.
 STRIPE, SMOOTHED = 1024, 2.0
 
 
@@ -52,7 +52,7 @@ def write_sediments(
         1 where the floor is rippled; read in stripes.
     lines : sequence of Line
     names, codes : sequence of str
-        Of the classes.
+        Names and codes of the classes.
     transform : Affine
         Of the label's pixels.
     crs : str
@@ -94,7 +94,7 @@ def areas_of(
 ) -> list[Area]:
     """Trace the areas of a map so that neighbours share their outlines point by point.
 
-    The rippled parts of a class are areas of their own.
+    The rippled parts of a class are separate areas.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def areas_of(
         here = tree.query(shapely.box(0, top, width, rows.stop))
         total += _sums(outlines, here, top, confidence[rows])
     pixel = abs(transform.determinant)
-    # where three areas meet, each must have the point; then the staircase of pixels is smoothed:
+    # where three areas meet, each must contain the point; then the staircase of pixels is smoothed:
     # corners of less than two pixels are cut, equally on both sides
     smooth = shapely.coverage_simplify(shapely.segmentize(outlines, 1.0), SMOOTHED**0.5)
     smooth = shapely.transform(smooth, lambda p: np.column_stack(transform @ (p[:, 0], p[:, 1])))
@@ -141,14 +141,14 @@ def areas_of(
 
 
 def _outlined(label: Any, rippled: Any, count: int, scratch: Path) -> list[tuple[Any, int]]:
-    """Outlines in whole pixels, which meet exactly, and twice their class plus rippled."""
+    """Outlines in whole pixels, which meet exactly, and codes: twice the class (+ 1 if rippled)."""
     height, width = label.shape
     dtype = "uint8" if count < 128 else "uint16"
     profile = {"driver": "GTiff", "dtype": dtype, "count": 1}
     scratch.mkdir(parents=True, exist_ok=True)
     draft = scratch / "areas.tif"
     try:
-        # upside down to no one but GDAL, which warns of a raster without a place
+        # a dummy georeference, since GDAL warns about a raster without one
         place = Affine.translation(0.0, 1.0)
         with rasterio.open(
             draft, "w", height=height, width=width, transform=place, **profile
@@ -176,7 +176,7 @@ def _sums(
     top: int,
     confidence: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """Pixels and their confidence of each area (2, areas) in a stripe."""
+    """Sum pixels and their confidence over each area (2, areas) in a stripe."""
     total = np.zeros((2, len(outlines)))
     if here.size:
         marked = [(outlines[i], int(i) + 1) for i in np.sort(here)]
@@ -188,7 +188,7 @@ def _sums(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_up(number, confidence, total):  # type: ignore[no-untyped-def]
-    """Add pixels and their confidence, where there is one, to the numbers (from 1) they bear."""
+    """Add pixels and their confidence, where known, to the totals of their numbers (from 1)."""
     for r in range(number.shape[0]):
         for c in range(number.shape[1]):
             k = number[r, c] - 1

@@ -39,7 +39,7 @@ def write_stac(
     ----------
     path : Path
     identity : str
-        Of the run.
+        Identifier of the run.
     title : str
     box : tuple of float
         Left, bottom, right, top, m.

@@ -16,8 +16,8 @@ from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan
 from sasmap.run.wording import duration
 
-# Range of the cells' values, over the standard deviation of one, from which they differ: twice that
-# of equal ones.
+# Range of the cells' values (5 to 95 %), in standard deviations of one cell, above which they
+# differ: twice that of equal cells.
 APART = 6.6
 
 
@@ -54,7 +54,7 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
         area = len(good) * plan.opened.grid.spacing**2
         beside = f"of {len(outcome.fused)}; {area:,.0f} m² with a converged estimate"
         yield Answer("Rippled cells", str(len(good)), beside)
-    if good:  # by the default method, which knows their azimuth
+    if good:  # by the default method, which estimates their azimuth
         yield _typical("Wavelength", _table(good, "wavelength"))
         yield _typical("Height, crest to trough", _table(good, "crest_to_trough"))
         known = np.array([c.azimuth[0] for c in good])
@@ -68,7 +68,7 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
 
 
 def _typical(what: str, table: NDArray[np.float64]) -> Answer:
-    """Range over cells, where they differ by more than their errors, or else the median."""
+    """Range over cells where they differ by more than their errors, otherwise the median."""
     value, sd = np.median(table[:, 0]), np.median(table[:, 1])
     low, high = np.quantile(table[:, 0], (0.05, 0.95))
     if high - low > APART * sd:

@@ -1,4 +1,4 @@
-"""Ripples that may be bands of gain: crests along the track, of another wavelength elsewhere."""
+"""Ripples that may be bands of gain: crests along the track, wavelength varying with range."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sasmap.ripples.summary import Summary
 from sasmap.run.plan import Swath
 
 # Degrees between crest normal and look below which crests run along the track; relative difference
-# of f below which two cells have the same, and of range from which they are apart (choices: bands
-# of a beam pattern follow the grazing angle, so that f goes with the square of the range).
+# of f below which two cells have the same f, and of range above which they are apart (choices:
+# bands of a beam pattern follow the grazing angle, so that f varies with the square of the range).
 ALONG, SAME, APART = 1.5, 0.03, 0.25
 
 
@@ -30,7 +30,7 @@ def bands_or_ripples(
     fused: Mapping[tuple[int, int], FusedCell],
     swaths: Sequence[Swath],
 ) -> str:
-    """Say that all ripples of a survey may be bands of gain over range; empty where they are not.
+    """Warn that all ripples of a survey may be bands of gain over range; empty where not.
 
     Parameters
     ----------
@@ -68,6 +68,6 @@ def _seen(summary: Summary, swath: Swath) -> _Seen:
 
 
 def _alike(one: _Seen, other: _Seen) -> bool:
-    """Whether two looks at different ranges have the same f, as ripples have and bands have not."""
+    """Whether two looks at different ranges have the same f, as for ripples but not for bands."""
     apart = abs(one.distance / other.distance - 1) > APART
     return apart and abs(one.frequency / other.frequency - 1) < SAME

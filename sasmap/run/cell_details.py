@@ -25,7 +25,7 @@ FLAGGED = (
     Quality.NOT_CONVERGED,
     Quality.NOT_IDENTIFIABLE,
 )
-# Most flagged cells that are shown (a choice: the report stays short).
+# Maximum number of flagged cells that are shown (a choice: the report stays short).
 MOST_FLAGGED = 2
 
 

@@ -33,7 +33,7 @@ class ClassModel(NamedTuple):
     cells : tuple of (row, column)
         Cells that have training pixels.
     laws : tuple of Law
-        Of another survey; empty where they are estimated from training pixels.
+        Laws of another survey; empty where they are estimated from training pixels.
     centre : float
         Log of the cotangent of the grazing angle at which the laws hold.
     texture : Texture or None
@@ -151,7 +151,7 @@ def _texture_of(content: dict[str, Any], count: int) -> Texture:
 
 
 def law_of(content: dict[str, Any]) -> Law:
-    """Read a law from what :func:`model_text` wrote of it.
+    """Read a law as written by :func:`model_text`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The second stage of the ripple estimate: what the survey shares, and each cell under it."""
+"""Second stage of the ripple estimate: the survey's shared parameters, and each cell given them."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from sasmap.run.overlaps import Place, apart
 from sasmap.run.plan import Plan
 from sasmap.survey.cells import Cell, CellGrid
 
-# Pixels across a cell at which the map is read, and the share of them that a class must have for
-# the cell to be its own (choices: overviews suffice, and a boundary may cross a corner).
+# Pixels across a cell at which the map is read, and the minimum share of them in one class for the
+# cell to count as that class (choices: overviews suffice, and a boundary may cross a corner).
 ACROSS, MOSTLY = 32, 0.8
-# Cells in which a pass must miss ripples that others show, at least, to be told (a choice).
+# Minimum number of cells in which a pass misses ripples that others show, for a warning (a choice).
 FLAT = 4
 
 
 def combine_cells(plan: Plan, outcome: Outcome) -> None:
-    """Estimate what the looks of a survey share and combine those at each cell under it.
+    """Estimate the parameters that a survey's looks share, and combine the looks at each cell.
 
     Parameters
     ----------
     plan : Plan
     outcome : Outcome
-        With the looks at each cell, and the mapped sediments where there are any; filled in.
+        With the looks at each cell, and the mapped sediments where there are any; results are
+        added to it.
     """
     settings = plan.settings.ripples
     assert settings is not None
@@ -77,7 +78,7 @@ def _unseen(plan: Plan, outcome: Outcome) -> list[str]:
 def classes_of_cells(
     path: Path, grid: CellGrid, cells: Iterable[Place], sediments: int
 ) -> dict[Place, int]:
-    """Read which sediment each cell is of.
+    """Read the sediment class of each cell.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def classes_of_cells(
     Returns
     -------
     dict of (row, column) to int
-        0 where no sediment has nearly all of the cell.
+        0 where no sediment covers most of the cell.
     """
     found = {}
     with rasterio.open(path) as source:

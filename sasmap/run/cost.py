@@ -19,22 +19,24 @@ from sasmap.run.task import finished_looks, try_look
 from sasmap.run.wording import duration, size
 from sasmap.sediments.segmentation import DESCRIBED, SAMPLE
 
-# Seconds of a look at a cell on one core where none can be timed: per pixel of flat sea floor, and
-# for ripples, which hardly depend on the window (measured on the sample survey, 2.5 GHz core).
+# Seconds for a look at a cell on one core where none can be timed: per pixel of flat sea floor, and
+# per look with ripples, which hardly depends on the window (measured on the sample survey, 2.5 GHz
+# core).
 FLAT, RIPPLED = 1e-6, 4.0
-# Seconds per pixel on one core: of the sample in which sediment classes are found, of the sediment
-# map, and of the mosaic (each look); seconds of start, products and report (measured likewise).
+# Seconds per pixel on one core: for the sample in which sediment classes are found, for the
+# sediment map, and for the mosaic (each look); seconds for start, products and report (measured in
+# the same way).
 FOUND, MAPPED, LAID, FIXED = 8e-7, 5e-7, 5e-7, 8.0
-# Most looks that `plan` times, one in so many, and seconds after which it stops: a plan should take
-# less than half a minute (a choice).
+# Maximum number of looks that `plan` times, one in how many is timed, and seconds after which it
+# stops: a plan should take less than half a minute (a choice).
 TIMED, SHARE, ENOUGH = 8, 3, 15.0
 # Bytes of the process with its libraries, per pixel of a cell being processed, and per pixel of the
 # sediment sample: resident memory, measured on 25 Mpx of one pass (998 MB with one thread); and per
-# look with its task, which are held until the second stage (docs/scale.md).
+# look with its task, both held until the second stage (docs/scale.md).
 BASE, WORKING, SAMPLED, HELD = 400e6, 300.0, 200.0, 22e3
-# Bytes on disk: of a look at a cell with its figure; per pixel for the sediment map, the modelled
-# image and the ripples' extent; of temporary maps, and of products; of the mosaic, temporary files
-# included (from the formats' sizes, uncompressed).
+# Bytes on disk: per look at a cell with its figure; per pixel for the sediment map, the modelled
+# image and the ripples' extent; per pixel for temporary maps and for products; per pixel for the
+# mosaic with its temporary files (from the formats' sizes, uncompressed).
 RECORD, KEPT, MODELLED, EXTENT = 80_000, 8, 4, 1
 MAKING, PRODUCTS, MOSAIC = 24, 6, 12
 
@@ -47,7 +49,7 @@ class Cost(NamedTuple):
     memory, disk : float
         Bytes, upper estimates.
     per_worker : float
-        Bytes of the memory that each worker takes; the rest does not depend on their number.
+        Bytes of memory per worker; the rest does not depend on their number.
     finished, looks : int
         Number of looks finished by an earlier run, and of all looks.
     """
@@ -140,7 +142,7 @@ def _timed(plan: Plan, left: int) -> list[float]:
 
 
 def compiled() -> bool:
-    """Whether the code of this version is compiled, judged by the rendered wavelength."""
+    """Whether the code of this version is compiled, judged by the cache of the rendering module."""
     source = Path(rendering.__file__)
     cached = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(cached) if cached else source.parent / "__pycache__"
@@ -174,7 +176,7 @@ def check_fits(plan: Plan, workers: int | None) -> None:
 
 
 def _existing(folder: Path) -> Path:
-    """Nearest folder above that exists."""
+    """Nearest existing parent folder."""
     folder = folder.absolute()
     while not folder.is_dir():
         folder = folder.parent

@@ -21,10 +21,10 @@ from sasmap.survey.cells import Cell
 
 FloatArray = NDArray[np.float64]
 
-# Pixels a side of a node of the mosaic, fewer where wavelengths are short, and the most nodes of
-# one group, which bounds memory (a choice).
+# Maximum side of a mosaic node in pixels (smaller where wavelengths are short), and maximum number
+# of nodes in one group, which bounds memory (a choice).
 COARSE, LARGEST = 5, 40_000_000
-# Fewest nodes per wavelength: outlines are smoothed over a quarter of it.
+# Minimum number of nodes per wavelength: outlines are smoothed over a quarter of it.
 FINE = 6.0
 BESIDE = ((0, 1), (1, 0), (0, -1), (-1, 0))
 

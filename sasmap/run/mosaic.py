@@ -1,7 +1,7 @@
 """mosaic.tif: the amplitude of all passes on the survey's pixel grid.
 
-The first pass of the survey file lies on top. Gains are matched in cells that two passes show; of
-passes so connected the first keeps its units.
+The first pass of the survey file lies on top. Gains are matched in cells that two passes show; the
+first pass of each group connected in this way keeps its units.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ Read = Callable[[Cell, int], NDArray[np.float32] | None]
 
 FILE = "mosaic.tif"
 RECORD = "mosaic.json"
-# Most cells in which the gains of two passes are compared, and pixels that both must show. 400
-# independent pixels of speckle give a gain to 0.3 dB; the median over cells is better.
+# Maximum number of cells in which gains of passes are compared, and minimum number of pixels that
+# both must show. 400 independent pixels of speckle give a gain to 0.3 dB; the median over cells is
+# better.
 COMPARED, LEAST = 48, 400
 
 
@@ -47,7 +48,7 @@ class GainRatio(NamedTuple):
     first, second : int
         Swaths.
     log_gain : float
-        Log of the second swath's amplitude over the first's.
+        Log of the ratio of the second swath's amplitude to the first's.
     weight : float
         Number of cells.
     """
@@ -133,14 +134,14 @@ def _laid(plan: Plan, cell: Cell, read: Read, scale: FloatArray) -> NDArray[np.f
 def swath_gains(
     cells: dict[Cell, tuple[int, ...]], count: int, read: Read, workers: int | None
 ) -> FloatArray:
-    """Log gain of each swath, relative to the first of those that it is connected with.
+    """Log gain of each swath, relative to the first swath of its connected group.
 
     Parameters
     ----------
     cells : dict of Cell to tuple of int
         The swaths that may show each cell.
     count : int
-        Swaths.
+        Number of swaths.
     read : callable
         ``read(cell, swath)`` gives amplitudes (window, window), NaN where there is none, or None.
     workers : int or None
@@ -148,7 +149,7 @@ def swath_gains(
     Returns
     -------
     ndarray (count,)
-        Of linear amplitude.
+        Log of linear amplitude.
     """
     shared = [cell for cell, swaths in cells.items() if len(swaths) > 1]
     step = max(1, -(-len(shared) // COMPARED))
@@ -169,9 +170,9 @@ def swath_gains(
 
 
 def _log_ratio(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Log of the second's root mean square amplitude over the first's, where both show the floor.
+    """Log ratio of the second's root mean square amplitude to the first's, where both show floor.
 
-    NaN where they do not overlap: the two sides of a line show other ranges, and other floor.
+    NaN where they do not overlap: the two sides of a line show different floor.
     """
     common = np.isfinite(first) & np.isfinite(second)
     if common.sum() < LEAST:
@@ -187,7 +188,7 @@ def solve_gains(ratios: Sequence[GainRatio], count: int) -> FloatArray:
     ----------
     ratios : sequence of GainRatio
     count : int
-        Swaths.
+        Number of swaths.
 
     Returns
     -------

@@ -39,7 +39,7 @@ def sharing(plan: Plan, cell: Place) -> Iterator[CommonPixels]:
     Parameters
     ----------
     plan : Plan
-        Of cells side by side.
+        The plan of the map, in adjacent cells.
     cell : tuple of int
         Row and column.
 

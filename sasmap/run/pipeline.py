@@ -87,8 +87,8 @@ def run_survey(
     with clock.stage("check"):
         plan = make_plan(survey)
         check_fits(plan, workers)
-    # threads of linear algebra beside threads of cells wait for each other: on a busy machine a run
-    # took twice as long, and sums may depend on their number
+    # linear-algebra threads compete with the threads of cells: on a busy machine a run took twice
+    # as long, and sums may depend on the number of threads
     with threadpool_limits(1, user_api="blas"), cluster(scheduler) as client:
         check_workers(client, sorted(plan.hashes))
         store = Store(_made(survey.output_folder))
@@ -131,7 +131,7 @@ def _make_products(
                 "sediments",
                 lambda: sediment_stage(plan, store, outcome, workers, told, client),
             )
-    if survey.ripples is not None:  # after the sediments, which tell cells of one law
+    if survey.ripples is not None:  # after the sediments, which show the cells that share a law
         with clock.stage("products"):
             combine_cells(plan, outcome)
             _write_ripples(plan, store, outcome)

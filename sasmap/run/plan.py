@@ -24,7 +24,7 @@ from sasmap.survey.tiles import Tile, hash_file
 from sasmap.survey.training import Training, check_shown, read_training
 
 # Grazing angle, degrees, below which ripples of steepness 0.11 (slope 0.35 = tan 19 degrees) cast
-# shadow; difference of grazing angles that constrains the law by contrast alone (a choice).
+# shadow; difference of grazing angles above which contrast alone constrains the law (a choice).
 SHADOW_GRAZING, APART = 19.0, 10.0
 
 
@@ -50,7 +50,7 @@ class Plan:
     opened : OpenSurvey
     swaths : tuple of Swath
     cells : dict of Cell to tuple of int
-        The swaths (indices) whose tiles meet each cell that any meet.
+        For each cell that any tiles meet, the swaths (indices) whose tiles meet it.
     tiles : dict of str to dict of Cell to tuple of Tile
         By pass, the tiles that may show each cell.
     hashes : dict of Path to str
@@ -62,7 +62,7 @@ class Plan:
     model : ClassModel or None
         Sediment classes of another survey.
     overlapping : Plan or None
-        The same survey in overlapping cells, where ripples are estimated in these.
+        The same survey in overlapping cells, if ripples are estimated in such cells.
     """
 
     opened: OpenSurvey
@@ -167,7 +167,7 @@ def make_plan(survey: Survey) -> Plan:
 
 
 def _told_twice(opened: OpenSurvey, hashes: dict[Path, str]) -> list[str]:
-    """Warn of tiles of one content: they count as often as they are listed."""
+    """Warn of tiles with identical content: they count as often as they are listed."""
     first: dict[str, tuple[str, Path]] = {}
     found = []
     for one in opened.passes:

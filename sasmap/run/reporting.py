@@ -29,8 +29,8 @@ from sasmap.run.store import Store, code_version
 from sasmap.run.wording import duration
 from sasmap.settings.yamlfile import dump_yaml
 
-# Standard deviations from which a migration is significant; assumed error of the registration of
-# passes, m (differential GPS).
+# Standard deviations above which a migration is significant; assumed registration error of passes,
+# m (differential GPS).
 SURE, REGISTERED = 3.0, 0.1
 # Maps of the report's section on ripples.
 RIPPLE_MAPS = (

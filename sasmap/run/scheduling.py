@@ -1,4 +1,4 @@
-"""Cells as dask tasks: on threads of this machine, or on workers of a cluster that may die."""
+"""Cells as dask tasks: on threads of this machine, or on cluster workers, which may die."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def cluster(address: str | None) -> Iterator[Any]:
     Raises
     ------
     InputError
-        Where none answers.
+        Where no scheduler answers.
     """
     if address is None:
         yield None
@@ -116,7 +116,7 @@ def compute(
     client: Any,
     progress: Progress | None,
 ) -> list[list[LookResult]]:
-    """Run cells, in any order, wherever there is room.
+    """Run cells in any order on the available threads or workers.
 
     Parameters
     ----------

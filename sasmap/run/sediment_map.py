@@ -1,6 +1,6 @@
 """The sediment map of a survey: classes of its surface, mapped block by block.
 
-Pixels lie on disk; what grows in memory are statistics of blocks of 16 by 16 pixels.
+Pixels are on disk; only statistics of blocks of 16 by 16 pixels grow with the survey in memory.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.texture import MARGIN, SHARED
 from sasmap.sediments.training import train_classes
 
-# Pixels a side of the blocks that are classified at once, and around them that decide too.
+# Side in pixels of the blocks that are classified at once, and of the margin that affects them.
 SIDE, HALO = 1024, 32
-# Steps of a quantised log likelihood, nats, and the most below the best class.
+# Step of a quantised log likelihood, nats, and its largest depth below the best class.
 STEP, DEEPEST = 0.1, 12.7
-# What objects are called, and the confidence that is shown for them: a guess, not calibrated.
+# Name of objects, and the confidence shown for them: a guess, not calibrated.
 OBJECT, CERTAIN = "object", 0.9
-# Steps of the probability that is kept.
+# Step of the stored probability.
 PROBABILITY = 0.002
-# Pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
+# Size in pixels of the smallest patch that is rippled, or flat among ripples: a few wavelengths.
 FEWEST_RIPPLED = 4096
-# Pixels a side over which rippled floor is classed by its average: one to three wavelengths, half
-# of the longest. Speckle of troughs in shadow is noise, whose law is no sediment's.
+# Side in pixels of the window over which rippled floor is averaged and classified: one to three
+# wavelengths, half of the longest. Troughs in shadow show noise, whose law is not a sediment's.
 WAVES = 2 * HALO + 1
-# Bins of a class's amplitudes in the report; blocks that they are of, at most, and their pixels a
-# side.
+# Bins of a class's amplitudes in the report; maximum number of blocks that are read for them, and
+# side of these in pixels.
 BINS, DRAWN, DRAWN_SIDE = 40, 24, 256
 
 
 class Quantised:
-    """Log likelihoods of one class, kept in a byte each; slices are nats."""
+    """Log likelihoods of one class, stored in one byte each; slices return nats."""
 
     def __init__(self, values: Any, step: float = STEP) -> None:
         self.values, self.step = values, step
@@ -70,9 +70,9 @@ class Drawn(NamedTuple):
     Attributes
     ----------
     edges : ndarray (n,)
-        Of bins, from 0.
+        Edges of bins, from 0.
     counts : ndarray (n,)
-        Of pixels in each bin, and of those above the last edge.
+        Number of pixels in each bin, and of those above the last edge.
     mean_square : float
     """
 
@@ -81,11 +81,11 @@ class Drawn(NamedTuple):
     mean_square: float
 
     def histogram(self) -> dict[str, list[float]]:
-        """Return ``edges`` and ``counts`` of what lies between the edges."""
+        """Return ``edges`` and the ``counts`` between them."""
         return {"edges": self.edges.tolist(), "counts": self.counts[:-1].tolist()}
 
     def beyond(self, law: Law) -> float | None:
-        """Share of pixels that are more than a law has in their bins; None where there are none."""
+        """Share of pixels in excess of a law, summed over bins; None where there are none."""
         total = self.counts.sum()
         if not total:
             return None
@@ -93,7 +93,7 @@ class Drawn(NamedTuple):
         return round(float(np.maximum(over, 0).sum()), 4)
 
     def level(self, first: float) -> float | None:
-        """Mean intensity of the pixels over another, dB; None where there are none."""
+        """Mean intensity of the pixels relative to `first`, dB; None where there are none."""
         return _decibels(self.mean_square / first) if self.mean_square > 0 else None
 
 
@@ -112,10 +112,10 @@ class SedimentMap:
     rippled : Canvas of uint8 (rows, columns)
         1 where the floor is rippled.
     objects : bool
-        Whether the map shows objects, which bear the number after the classes'.
+        Whether the map shows objects, whose number follows those of the classes.
     unmerged : (tuple of str, Classes) or None
-        Names and classes before those of one name were merged, if any were: the map of the same
-        pixels by these is the same again.
+        Names and classes before classes of the same name were merged: with these the map can be
+        reproduced.
     """
 
     label: Canvas
@@ -134,7 +134,7 @@ class SedimentMap:
         return (*self.names, OBJECT) if self.objects else self.names
 
     def drawn(self) -> list[Drawn]:
-        """Gather amplitudes of each class on the map, less gain and trend, of some blocks."""
+        """Gather amplitudes of each class in some blocks of the map, gain and trend removed."""
         top = [4 * np.sqrt(law.mean_square) for law in self.classes.laws]
         edges = [np.append(np.linspace(0, v, BINS + 1), np.inf) for v in top]
         counts = [np.zeros(BINS + 1) for _ in top]
@@ -155,7 +155,7 @@ class SedimentMap:
         ]
 
     def renumbered(self, number: NDArray[np.uint8]) -> tuple[Line, ...]:
-        """Give classes new numbers on the map (256,); return the lines that still part two."""
+        """Give classes new numbers on the map (256,); return lines that still separate classes."""
         if (number[1 : len(self.classes.laws) + 1] != np.arange(len(self.classes.laws)) + 1).any():
             for top in range(0, self.label.shape[0], SIDE):
                 part = slice(top, top + SIDE)
@@ -167,7 +167,7 @@ class SedimentMap:
         )
 
     def merged(self) -> SedimentMap:
-        """Make classes of one name one class, of the first one's law."""
+        """Merge classes of the same name into one class with the first one's law."""
         names = tuple(dict.fromkeys(self.names))
         number = np.zeros(256, np.uint8)
         number[1 : len(self.names) + 1] = [names.index(name) + 1 for name in self.names]
@@ -200,7 +200,7 @@ class SedimentMap:
         return total
 
     def table(self, pixel_area: float, drawn: Sequence[Drawn]) -> list[dict[str, Any]]:
-        """Class by class what ``run.json`` says.
+        """List the entries of ``run.json``, class by class.
 
         Parameters
         ----------
@@ -270,19 +270,19 @@ def map_sediments(
     ----------
     ground : Ground
     count : int or None
-        Classes; found where None.
+        Number of classes; found from the data where None.
     known : ClassModel or None
         Classes with training, or of another survey.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
     scratch : Path
-        Folder of the rasters in the making.
+        Folder of the unfinished rasters.
     stack : ExitStack
         Closes them.
     least : float
-        Pixels of the smallest patch that the map shows.
+        Size in pixels of the smallest patch that the map shows.
     progress : callable, optional
-        Called with the number of cells that have been read and of all.
+        Called with the number of cells that have been read and of all cells.
 
     Returns
     -------
@@ -311,7 +311,7 @@ def map_sediments(
 
     deque(mapped(classify, surface.blocks(SIDE), workers), 0)
     label = _without_crests(surface, label, canvas("beds", "uint8"), workers)
-    # a pixel's log odds by texture are those of a window: a boundary may count them but once
+    # a pixel's log odds by texture are those of its window: a boundary may count them only once
     step = STEP if classes.texture is None else STEP / SHARED
     layers = [Quantised(layer, step) for layer in kept]
     lines = refined(traced(label), layers, workers)
@@ -331,7 +331,7 @@ def map_sediments(
 
 
 def _parts(label: Canvas, line: Line) -> bool:
-    """Whether a line still parts two classes of a map whose small patches were given away."""
+    """Whether a line still separates two classes after small patches were reassigned."""
     left, right = sides(label, line.boundary.points, line.boundary.closed)
     return bool(2 * (left != right).sum() >= left.size)
 
@@ -343,7 +343,7 @@ def _without_small(
     result: Canvas,
     workers: Workers,
 ) -> Canvas:
-    """Give patches of too few pixels to the class that is nearest, block by block."""
+    """Reassign patches of too few pixels to the nearest class, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))  # most patches are no longer than twice their root
 
     def one(part: Part) -> None:
@@ -355,7 +355,7 @@ def _without_small(
 
 
 def _without_crests(surface: Surface, label: Canvas, result: Canvas, workers: Workers) -> Canvas:
-    """Give single crests and troughs that differ from their bed to it, block by block."""
+    """Reassign single crests and troughs that differ from their bed to it, block by block."""
     margin = int(2 * np.sqrt(FEWEST_RIPPLED))
 
     def one(part: Part) -> None:
@@ -374,7 +374,7 @@ def _without_crests(surface: Surface, label: Canvas, result: Canvas, workers: Wo
 def _mark_rippled(
     surface: Surface, label: Canvas, least: float, result: Canvas, workers: Workers
 ) -> None:
-    """Mark what is rippled of each class, but for patches of too few pixels, block by block."""
+    """Mark the rippled part of each class, without patches of too few pixels, block by block."""
     margin = int(np.ceil(2 * np.sqrt(least)))
 
     def one(part: Part) -> None:
@@ -382,7 +382,7 @@ def _mark_rippled(
         classes, rippled = label[wide], surface.rippled[wide]
         if not rippled.any():
             return
-        # a patch is of one class, and what is too small is as what lies around it
+        # a patch is of one class; one that is too small becomes like its surroundings
         both = np.where(classes > 0, 2 * classes + rippled, 0).astype(np.uint8)
         both = sieved(both, least, wide == surface.whole)
         result[part] = np.where(classes > 0, both & 1, rippled)[inner]
@@ -391,7 +391,7 @@ def _mark_rippled(
 
 
 def _without_empty(found: SedimentMap) -> SedimentMap:
-    """Name classes, and number them without those that the map does not hold."""
+    """Name and number the classes, dropping those that are not on the map."""
     pixels = found.pixels()
     there = [k for k in range(len(found.classes.laws)) if pixels[k + 1] > 0]
     number = np.zeros(256, np.uint8)
@@ -415,7 +415,7 @@ def _classify(
     label: Any,
     confidence: Any,
 ) -> None:
-    """Classify one block of pixels, with those around it in view."""
+    """Classify one block of pixels, using a margin around it."""
     wide, inner = surface.around(part, HALO if classes.texture is None else HALO + MARGIN)
     likelihood = log_likelihoods(surface.part(wide, classes.ranged), classes)
     bed = averaged(likelihood, surface.rippled[wide] > 0, WAVES)

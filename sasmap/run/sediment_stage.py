@@ -1,4 +1,4 @@
-"""The sediment stage of a run: map, products, and what is kept of an unchanged one."""
+"""The sediment stage of a run: map, products, and reuse of an unchanged map."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def sediment_stage(
     progress: Progress | None = None,
     client: Any = None,
 ) -> list[Path]:
-    """Map sediments, or keep an earlier run's map of the same; returns the products."""
+    """Map sediments, or keep an earlier run's map with the same key; returns the products."""
     key = _key(plan, outcome)
     kept = _kept(store, key)
     if kept is None:
@@ -53,7 +53,7 @@ def sediment_stage(
 
 
 def _key(plan: Plan, outcome: Outcome) -> str:
-    """Hash of everything the map depends on, what the ripple stage found included."""
+    """Hash of everything the map depends on, including the results of the ripple stage."""
     grid = plan.opened.grid
     looks = [
         [
@@ -73,7 +73,7 @@ def _key(plan: Plan, outcome: Outcome) -> str:
 
 
 def _kept(store: Store, key: str) -> dict[str, Any] | None:
-    """Return what an earlier run recorded of the same map, if its files are still what it wrote."""
+    """Return an earlier run's record of the same map, if its files are unchanged."""
     try:
         record = json.loads((store.folder / RECORD).read_text(encoding="utf-8"))
         if (
@@ -104,7 +104,7 @@ def _map(
     assert settings is not None
     grid, window = plan.opened.grid, plan.settings.window
     context = Context(plan, store)
-    keys = {} if plan.overlapping else outcome.keys  # of other pixels than the map's
+    keys = {} if plan.overlapping else outcome.keys  # overlapping cells have other pixels
 
     def read(row: int, column: int, k: int) -> Floor | None:
         found = keys.get((row, column))
@@ -155,7 +155,7 @@ def _codes(known: ClassModel | None, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _warn(plan: Plan, outcome: Outcome) -> None:
-    """Say where what might be sediments was taken for gain."""
+    """Warn where possible sediments were taken for gain."""
     gain = outcome.sediments[0]["taken_for_gain_by_range_dB"] if outcome.sediments else None
     if gain is not None:
         advice = (
@@ -181,7 +181,7 @@ def _keep(store: Store, key: str, outcome: Outcome, written: list[Path]) -> None
 
 
 def _known(plan: Plan) -> ClassModel | None:
-    """Classes of training polygons, or of another survey."""
+    """Return the classes of training polygons, or of another survey."""
     if not plan.training:
         return plan.model
     grid, window = plan.opened.grid, plan.settings.window
@@ -194,7 +194,7 @@ def _known(plan: Plan) -> ClassModel | None:
 
 
 def _record(plan: Plan, outcome: Outcome, faults: Sequence[Fault]) -> None:
-    """Add what could not be read to a run's failures, unless the ripple stage has."""
+    """Add unreadable looks to a run's failures, unless the ripple stage has done so."""
     known = {(f.get("row"), f.get("column"), f.get("pass")) for f in outcome.failures}
     for row, column, k, fault in sorted(faults):
         label = plan.swaths[k].label

@@ -1,7 +1,7 @@
-"""What a survey's looks show of the floor, laid on its own pixels on disk, its ripples taken off.
+"""The survey's looks at the floor on the map's pixels on disk, with ripples removed.
 
-The map is made from this surface in blocks of its own: it does not know the cells that ripples are
-estimated in.
+The map is made from this surface in its own blocks, independent of the cells in which ripples are
+estimated.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ FloatArray = NDArray[np.float64]
 Read = Callable[[int, int, int], tuple[FloatArray, FloatArray, FloatArray] | None]
 Part = tuple[slice, slice]
 
-# Pixels a side of the pieces in which ripples and objects are looked for.
+# Side in pixels of the pieces in which ripples and objects are searched.
 PIECE = 8 * LATTICE
-# Pixels a side of the blocks that rasters are stored in, and the least where these fit cells: rows
-# of a part of a block are written one by one, which took a twentieth of the stage.
+# Side in pixels of the blocks in which rasters are stored, and its minimum where blocks are fitted
+# to cells: parts of a block are written row by row, which took a twentieth of the stage.
 WHOLE, FEWEST = 256, 128
-# Share of a class's training that may lie on objects, if these are to be no sediment.
+# Maximum share of a class's training on objects; above it objects count as sediment.
 TAUGHT = 0.05
 
 
 class Ground(NamedTuple):
-    """How a survey is read.
+    """Layout of a survey, and the function that reads it.
 
     Attributes
     ----------
     rows, columns : int
-        Cells.
+        Number of cells.
     window : int
-        Pixels a side of a cell.
+        Side of a cell in pixels.
     looks : int
     read : callable
         ``read(row, column, look)`` gives amplitude, cotangent of the grazing angle and altitude
-        (window, window each), or None. A fault is that of the cell alone.
+        (window, window each), or None. An exception concerns that cell alone.
     """
 
     rows: int
@@ -68,7 +68,7 @@ class Ground(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What could not be read, and why."""
+    """A look at a cell that could not be read, and why."""
 
     row: int
     column: int
@@ -84,9 +84,9 @@ class Look(NamedTuple):
     amplitude : Canvas
         0 for none.
     cotangent, altitude : Canvas
-        Of the grazing angle; m.
+        Cotangent of the grazing angle; altitude, m.
     profile : Canvas
-        Log of what ripples do to the amplitude.
+        Log of the amplitude profile of ripples.
     hidden : Canvas
         1 for objects, 2 for their shadow.
     """
@@ -99,7 +99,7 @@ class Look(NamedTuple):
 
 
 class Slices:
-    """A look's amplitude, ripples taken off: slices are read."""
+    """A look's amplitude with ripples removed, read in slices."""
 
     def __init__(self, look: Look) -> None:
         self._look = look
@@ -109,13 +109,13 @@ class Slices:
         """Read a slice; NaN where there is no amplitude."""
         amplitude = _known(self._look.amplitude[part])
         profile = self._look.profile[part]
-        if profile.view(np.uint16).any():  # as whole numbers, which are looked at much faster
+        if profile.view(np.uint16).any():  # as integers, which are tested much faster
             amplitude *= np.exp(-profile.astype(np.float32))
         return amplitude
 
 
 class Surface(NamedTuple):
-    """All looks at a survey; slices are read.
+    """All looks at a survey, read in slices.
 
     Attributes
     ----------
@@ -124,13 +124,13 @@ class Surface(NamedTuple):
     rippled : Canvas of uint8
         1 where a look shows ripples.
     objects : Canvas of uint8
-        1 where a look shows an object that is no sediment.
+        1 where a look shows an object that is not sediment.
     marks : Canvas of uint8 or None
-        Classes that training shows.
+        Training classes.
     faults : list of Fault
-        What could not be read.
+        Looks that could not be read.
     apart : bool
-        Whether objects were taken out.
+        Whether objects were removed.
     """
 
     shape: tuple[int, int]
@@ -142,9 +142,9 @@ class Surface(NamedTuple):
     apart: bool = False
 
     def part(self, part: Part, ranged: bool) -> list[AmplitudeGrid]:
-        """Amplitudes of all looks, ripples taken off; NaN where there is none.
+        """Amplitudes of all looks with ripples removed; NaN where there is none.
 
-        Altitudes are read where gain goes by range.
+        Altitudes are read if gain depends on range.
         """
         return [
             AmplitudeGrid(
@@ -156,7 +156,7 @@ class Surface(NamedTuple):
         ]
 
     def slices(self) -> list[AmplitudeGrid]:
-        """All looks, to be read by slices."""
+        """All looks, to be read in slices."""
         return [AmplitudeGrid(Slices(k), k.cotangent, k.altitude) for k in self.looks]
 
     def shown(self, workers: Workers) -> bool:
@@ -169,11 +169,11 @@ class Surface(NamedTuple):
 
     @property
     def whole(self) -> Part:
-        """All of the map."""
+        """The whole map."""
         return slice(0, self.shape[0]), slice(0, self.shape[1])
 
     def blocks(self, side: int) -> list[Part]:
-        """Blocks of so many pixels a side, row by row."""
+        """Blocks of `side` by `side` pixels, row by row."""
         rows, columns = self.shape
         return [
             (slice(r, min(r + side, rows)), slice(c, min(c + side, columns)))
@@ -181,7 +181,7 @@ class Surface(NamedTuple):
         ]
 
     def around(self, part: Part, margin: int) -> tuple[Part, Part]:
-        """Widen a part by a margin, as far as the map goes; and the part's place in that."""
+        """Widen a part by a margin, within the map; also return the part's place in the result."""
         wide = tuple(
             slice(max(s.start - margin, 0), min(s.stop + margin, n))
             for s, n in zip(part, self.shape, strict=True)
@@ -201,23 +201,23 @@ def lay(
     progress: Callable[[int, int], None] | None = None,
     objects: bool = True,
 ) -> Surface:
-    """Lay a survey's looks on disk and take their ripples, and objects, off.
+    """Write a survey's looks to disk, and remove ripples and objects from them.
 
     Parameters
     ----------
     ground : Ground
     known : ClassModel or None
-        Whose marks are laid as well.
+        Its training marks are written as well.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
     scratch : Path
         Folder of the rasters.
     stack : ExitStack
         Closes them.
     progress : callable, optional
-        Called with the number of cells that have been read and of all.
+        Called with the number of cells that have been read and of all cells.
     objects : bool
-        Whether objects are looked for.
+        Whether objects are searched for.
 
     Returns
     -------
@@ -276,14 +276,14 @@ def lay(
 
 
 def _set_apart(surface: Surface, workers: Workers) -> bool:
-    """Find objects and take them and their shadow out of the looks; say whether that was done."""
+    """Find objects and remove them and their shadow from the looks; return whether it was done."""
     pieces = surface.blocks(PIECE)
     shown = list(mapped(lambda p: _find_objects(surface, p), pieces, workers))
     total = np.sum([marked for _, marked in shown], axis=0)
     taught = total[0, 1:] > 0
     if (total[1, 1:][taught] > TAUGHT * total[0, 1:][taught]).any():
-        return False  # a class that is made of such things was shown: they are sediment here
-    # only now: pieces look at what lies around them
+        return False  # training shows a class made of such objects: they are sediment here
+    # only now, since pieces read a margin around them
     there = [piece for piece, (found, _) in zip(pieces, shown, strict=True) if found]
     deque(mapped(lambda p: _hide(surface, p), there, workers), 0)
     return True
@@ -292,8 +292,8 @@ def _set_apart(surface: Surface, workers: Workers) -> bool:
 def _find_objects(surface: Surface, part: Part) -> tuple[bool, NDArray[np.int64]]:
     """Mark objects and shadow of each look in a piece.
 
-    Returns whether there are any, and how many pixels of each class that training shows lie in the
-    piece and on objects (2, 256).
+    Returns whether there are any, and the number of training pixels of each class in the piece and
+    on objects (2, 256).
     """
     wide, inner = surface.around(part, MARGIN)
     rippled = surface.rippled[wide] > 0
@@ -319,21 +319,21 @@ def _find_objects(surface: Surface, part: Part) -> tuple[bool, NDArray[np.int64]
 
 
 def _hide(surface: Surface, part: Part) -> None:
-    """Take what is no floor out of a piece of the looks; mark things on the map."""
+    """Remove objects and shadow from a piece of the looks; mark objects on the map."""
     things = np.zeros([s.stop - s.start for s in part], bool)
     for look in surface.looks:
         hidden = look.hidden[part]
         things |= hidden == 1
         if hidden.any():
             look.amplitude[part] = np.where(hidden > 0, np.float32(0), look.amplitude[part])
-    for look in surface.looks:  # what stands on the floor hides it from all sides
+    for look in surface.looks:  # an object hides the floor from all sides
         if things.any():
             look.amplitude[part] = np.where(things, np.float32(0), look.amplitude[part])
     surface.objects[part] = things
 
 
 def _take_off(surface: Surface, part: Part) -> bool:
-    """Find ripples in a piece of each look; say whether there are any."""
+    """Find ripples in a piece of each look; return whether there are any."""
     wide, inner = surface.around(part, MARGIN)
     rippled = np.zeros([s.stop - s.start for s in part], bool)
     for look in surface.looks:
@@ -350,7 +350,7 @@ def _take_off(surface: Surface, part: Part) -> bool:
 
 
 def _conserve(surface: Surface, pieces: list[Part], workers: Workers) -> None:
-    """Give rippled floor in some pieces the level that it has flat, by the law that suits all."""
+    """Give rippled floor in some pieces the level of flat floor, by the best-fitting power law."""
 
     def describe(part: Part) -> list[Bed]:
         wide, inner = surface.around(part, REACH)
@@ -381,7 +381,7 @@ def _conserve(surface: Surface, pieces: list[Part], workers: Workers) -> None:
 
 
 def _block_of(window: int) -> int:
-    """Blocks of a raster that is written cell by cell: whole ones in a cell, if that can be."""
+    """Block side of a raster that is written cell by cell: a divisor of the cell, if possible."""
     parts = (window // k for k in range(1, window // FEWEST + 1) if window % k == 0)
     return next((side for side in parts if side <= 2 * WHOLE), WHOLE)
 

@@ -15,7 +15,7 @@ class Spread:
     """The equivalent of :func:`sasmap.numerics.threads.mapped` on the workers of a cluster.
 
     Parts are written to rasters in the output folder, which all workers share; only statistics of
-    blocks of pixels, and lines, are returned. A part that runs twice writes the same.
+    blocks of pixels, and lines, are returned. A part that runs twice writes the same values.
 
     Parameters
     ----------

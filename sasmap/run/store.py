@@ -22,7 +22,7 @@ from sasmap.ripples.summary import Summary
 from sasmap.version import VERSION
 
 FOLDER = ".sasmap"
-# Numbers that JSON lacks, as text.
+# Text for numbers that JSON lacks.
 NO_NUMBERS = ("nan", "inf", "-inf")
 
 

@@ -12,14 +12,13 @@ from sasmap.ripples.image import as_image
 from sasmap.run.plan import Plan
 from sasmap.run.task import WIDER, clip_of
 
-# Looks that are examined (a choice: seconds of work), and least valid share of a window's pixels.
+# Looks that are examined (a choice: seconds of work), and minimum valid share of a window's pixels.
 LOOKS, SHOWN = 12, 0.25
-# Wavelengths that a window should hold at least, and ideally (docs/guide.md); step of suggestions,
-# pixels.
+# Minimum and ideal number of wavelengths in a window (docs/guide.md); step of suggestions, pixels.
 ENOUGH, WANTED, STEP = 5.0, 8.0, 10
-# Windows that are tried in turn, cells a side, until one shows ripples: the last holds 3.5
-# wavelengths where a cell holds half a one. Most pixels a side of those after the first (a choice:
-# seconds).
+# Window sides in cells that are tried in turn until one shows ripples: the last holds 3.5
+# wavelengths where a cell holds half of one. Maximum side in pixels of those after the first (a
+# choice: seconds).
 WINDOWS, LARGEST = (WIDER, 2 * WIDER, 4 * WIDER), 1200
 
 
@@ -61,7 +60,7 @@ def describe_window(plan: Plan) -> Iterator[str]:
 
 
 def _wavelengths(plan: Plan, cells: float) -> tuple[list[float], int]:
-    """Wavelengths (m) in looks with ripples, in windows of so many cells a side; looks examined."""
+    """Wavelengths (m) in looks with ripples, in windows `cells` cells wide; looks examined."""
     settings = plan.settings.ripples
     assert settings is not None
     pairs = [(cell, k) for cell, looks in plan.cells.items() for k in looks]

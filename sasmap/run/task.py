@@ -38,11 +38,11 @@ MIN_VALID = 0.25
 CERTAIN, UNSEEN = 200, 255
 # Side, in cells, of the window in which a wavelength too long for a cell is estimated.
 WIDER = 2.0
-# Pixels from one whose place by the track is found to the next, for the floor alone: between them
-# it is linear to 0.1 % of the distance or less, which is what the stored cotangents tell apart.
+# Step in pixels at which the position along the track is computed, for the floor alone: between
+# them it is linear to 0.1 % of the distance or better, the resolution of the stored cotangents.
 LOCATED = 8
-# Most pixels a side of a modelled image, and draws per chain, stored for the report: what a figure
-# can show.
+# Maximum side in pixels of a modelled image, and draws per chain, stored for the report: as much as
+# a figure can show.
 PICTURE, DRAWS = 250, 100
 
 
@@ -112,7 +112,7 @@ def _look(context: Context, cell: Cell, k: int, earlier: list[Summary]) -> LookR
 def _finished(
     context: Context, cell: Cell, look: Swath, prior: Prior, key: str, window: float = 1.0
 ) -> LookResult:
-    """Load a look's result from the store, or compute it, for a window so many cells a side."""
+    """Load a look's result from the store, or compute it, for a window `window` cells wide."""
     plan, store = context
     kept = store.load(key)
     if kept is not None:
@@ -147,7 +147,7 @@ def _estimated(
 
 
 def try_look(plan: Plan, cell: Cell, k: int) -> None:
-    """Estimate a look at a cell without storing it: `plan` times it."""
+    """Estimate a look at a cell without storing it, for `plan` to time."""
     swath, settings = plan.swaths[k], ripple_settings(plan)
     clip = clip_of(plan, cell, swath, swath.side)
     if clip is None or _shown(plan, cell, swath, clip) < MIN_VALID:
@@ -196,7 +196,7 @@ def _pictured(posterior: Posterior) -> dict[str, NDArray[Any]]:
 
 
 def block_means(image: NDArray[Any], most: int) -> NDArray[Any]:
-    """Average an image (rows, columns) over squares, to at most `most` pixels a side."""
+    """Average an image (rows, columns) over squares, so that no side exceeds `most` pixels."""
     factor = max(1, -(-max(image.shape) // most))
     rows, columns = (-(-n // factor) for n in image.shape)
     padded = np.full((rows * factor, columns * factor), np.nan)
@@ -284,7 +284,7 @@ def ripple_settings(plan: Plan) -> RippleSettings:
 def clip_of(
     plan: Plan, cell: Cell, look: Swath, side: Side, window: float = 1.0
 ) -> xr.DataArray | None:
-    """Read a look's clip of a cell, or of a window of so many cells a side around it."""
+    """Read a look's clip of a cell, or of a window around it that is `window` cells wide."""
     grid = plan.opened.grid
     if window == 1:
         tiles = plan.tiles[look.sonar_pass.name].get(cell, ())
@@ -298,7 +298,7 @@ def clip_of(
 
 
 def tiles_around(plan: Plan, cell: Cell, look: Swath, window: float = WIDER) -> tuple[Tile, ...]:
-    """Tiles of a look's pass that show a window of so many cells a side, each once."""
+    """Tiles of a look's pass that show a window `window` cells wide around a cell, each once."""
     met, grid = plan.tiles[look.sonar_pass.name], plan.opened.grid
     reach = int(np.ceil(0.5 * (window - 1) * grid.size / grid.spacing - 1e-9))
     steps = range(-reach, reach + 1)
@@ -308,7 +308,7 @@ def tiles_around(plan: Plan, cell: Cell, look: Swath, window: float = WIDER) -> 
 
 
 def _shown(plan: Plan, cell: Cell, look: Swath, clip: xr.DataArray) -> float:
-    """Fraction of a cell that a look's pass shows, its other side included where it matters."""
+    """Fraction of a cell that a look's pass shows, including its other side where needed."""
 
     def fraction(part: xr.DataArray | None) -> float:
         if part is None:
@@ -356,7 +356,7 @@ def excluded_hash(plan: Plan, cell: Cell | None) -> str | None:
         return None
     if cell is None:
         return digest(excluded.wkb_hex)
-    # what lies within a pixel of the cell
+    # the excluded area within a pixel of the cell
     grid = plan.opened.grid
     square = shapely.box(*grid.bounds(cell)).buffer(grid.size / plan.settings.window)
     return digest(excluded.wkb_hex) if excluded.intersects(square) else None

@@ -1,10 +1,11 @@
-"""Gain of looks that no training marks, by how their floor looks beside that of marked classes.
+"""Gain of looks without training marks, from comparing their floor with the marked classes.
 
-Passes are seldom gained alike, and a look without marks has no class to be compared with. Where it
-overlaps a look whose gain is known, the floor that both show tells. Elsewhere its blocks are taken
-for a mixture of the classes, each a Gaussian of what marked blocks show (mean log amplitude, its
-variance at several scales, differences of neighbours): shares and gain are the likeliest ones.
-Texture does not depend on gain, so it tells a gain from other shares.
+Passes seldom have the same gain, and a look without marks has no class to be compared with. Where
+it overlaps a look of known gain, the shared floor determines its gain. Elsewhere its blocks are
+modelled as a mixture of the classes, each a Gaussian of the statistics of marked blocks (mean log
+amplitude, its variance at several scales, differences of neighbours); the most probable shares and
+gain are taken. Texture does not depend on gain, so it separates a change of gain from a change of
+shares.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ from sasmap.sediments.trends import BLOCK, Blocks, gain_over
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# By how much gains of a survey's passes differ (standard deviation of the log amplitude: 1 dB), and
-# gains that are tried. On hand-labelled strips 1 and 1.7 dB are alike.
+# Standard deviation of gain between passes of a survey (log amplitude: 1 dB), and the gains that
+# are tried. On hand-labelled strips 1 and 1.7 dB perform the same.
 GAIN_SD = 0.12
 GAINS = np.linspace(-0.6, 0.6, 61)
-# Blocks that those of a look count as: what its floor has in common is in no class's scatter. On
-# hand-labelled strips 30, 100 and 300 are alike.
+# Effective number of blocks of a look: its blocks share deviations that no class's scatter
+# includes. On hand-labelled strips 30, 100 and 300 perform the same.
 COUNTED = 30.0
-# Least scatter of a class's blocks (as of their level in a fit of trends), and blocks by which a
-# class's scatter is drawn to that of all.
+# Minimum scatter of a class's blocks (the same as for their level in a fit of trends), and number
+# of blocks that the pooled scatter counts as when a class's is shrunk towards it.
 SCATTER, SHRINK = 0.03, 20.0
-# Blocks that tell what a class looks like, at least; tiles of a look that are seen, at most; rounds
-# of a mixture's shares.
+# Minimum number of marked blocks of a class; maximum number of tiles of a look that are read;
+# iterations for the shares of the mixture.
 LEAST, SEEN, ROUNDS = 5, 6, 30
 
 
@@ -52,20 +53,20 @@ def align(
     Parameters
     ----------
     flat : sequence of Flat
-        By the trends so far.
+        Flattened by the trends so far.
     blocks : sequence of Blocks
-        Less gain by range, where there is any.
+        With gain by range subtracted, where there is any.
     labels : ndarray of int (block rows, block columns)
         Class of marked blocks, -1 elsewhere.
     count : int
-        Classes. Where one has too few marked blocks, only overlap tells gains.
+        Number of classes. Where one has too few marked blocks, only overlap determines gains.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
 
     Returns
     -------
     ndarray (looks, 3)
-        Gain, slope and bend; gains of marked looks, and all slopes and bends, are as they were.
+        Gain, slope and bend; gains of marked looks, and all slopes and bends, are unchanged.
     """
     trends = np.array([f.trend for f in flat])
     known = np.array([bool(((labels >= 0) & (b.known > 0)).any()) for b in blocks])
@@ -85,7 +86,7 @@ def align(
 def _by_overlap(
     blocks: Sequence[Blocks], trends: FloatArray, known: Mask
 ) -> tuple[int, float | None]:
-    """Return a look of unknown gain and its gain by floor that one of known gain shows, if any."""
+    """Return a look of unknown gain, and its gain from overlap with one of known gain, if any."""
     for look, other in product(np.flatnonzero(~known), np.flatnonzero(known)):
         gain = gain_over(blocks[int(look)], trends[look], blocks[int(other)], trends[other])
         if gain is not None:
@@ -94,7 +95,7 @@ def _by_overlap(
 
 
 class _Class:
-    """Gaussian of what a class's blocks show."""
+    """Gaussian of the statistics of a class's blocks."""
 
     def __init__(self, blocks: FloatArray, common: FloatArray) -> None:
         self.mean = blocks.mean(axis=0)
@@ -103,7 +104,7 @@ class _Class:
         self.factor = np.linalg.cholesky(scatter + SCATTER**2 * np.eye(len(scatter)))
 
     def log_density(self, blocks: FloatArray, gain: float) -> FloatArray:
-        """Log density (blocks,), up to a constant of all classes, under a gain."""
+        """Log density (blocks,) under a gain, up to a constant common to all classes."""
         rest = blocks - self.mean
         rest[:, 0] -= gain
         z = solve_triangular(self.factor, rest.T, lower=True)
@@ -117,7 +118,7 @@ def _classes(
     count: int,
     workers: Workers,
 ) -> list[_Class]:
-    """Classes as marked blocks show them; none where some class has too few."""
+    """Fit classes to marked blocks; return none where a class has too few."""
     shown, group = [], []
     for one, block in zip(flat, blocks, strict=True):
         there = (labels >= 0) & (block.known > 0)
@@ -140,7 +141,7 @@ def _shown(look: Flat, seen: Mask, workers: Workers) -> FloatArray:
 
 
 def _thinned(known: Mask) -> Mask:
-    """Blocks of some tiles, at random, where a look is seen in more."""
+    """Keep the blocks of some random tiles where a look has more."""
     shape = known.shape
     held = [part for part in tiles(shape, TILE // BLOCK) if known[part].any()]
     chosen = np.random.default_rng(0).permutation(len(held))[:SEEN]
@@ -151,7 +152,7 @@ def _thinned(known: Mask) -> Mask:
 
 
 def _likeliest_gain(shown: FloatArray, classes: Sequence[_Class]) -> float:
-    """Gain under which blocks (blocks, values) are likeliest a mixture of classes."""
+    """Find the gain under which blocks (blocks, values) are likeliest as a mixture of classes."""
     if not len(shown):
         return 0.0
     scores = []

@@ -1,12 +1,11 @@
-"""What of the level follows range over a whole line, and so may be gain or beam pattern.
+"""Level that depends on range alone over a whole line, and so may be gain or beam pattern.
 
-A gain of grazing angle (a beam pattern) or of slant range (time-varied gain) alone, whichever
-explains more where the altitude changes, is fitted to what it can be told by. Where looks from two
-sides or ranges see
-one block, the floor is the same in both and the difference is gain. Where one look alone does, all
-that follows range over its line is taken for gain: neighbouring blocks across range differ by it,
-but for those few between which a boundary runs. Those count for next to nothing (Geman-McClure
-weights): with Cauchy's, a slightly oblique boundary of 1.8 dB went into the gain.
+The gain is a function of grazing angle (a beam pattern) or of slant range (time-varied gain),
+whichever explains more where the altitude changes. Where looks from two sides or ranges see the
+same block, its floor is the same in both and the difference is gain. Where only one look sees it,
+all variation with range over its line is taken for gain: neighbouring blocks across range differ
+by it, except for the few pairs with a boundary between them. Those have negligible weight
+(Geman-McClure); with Cauchy weights, a slightly oblique boundary of 1.8 dB went into the gain.
 """
 
 from __future__ import annotations
@@ -24,27 +23,28 @@ from sasmap.sediments.trends import Blocks, Real, log_angle, log_reach, trend_of
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Log cotangents of a bin: 1 % of range, about a block at the far end of a swath of 100 blocks; and
-# blocks that a bin holds on average, at least; bins, at most.
+# Width of a bin in log cotangent (1 % of range, about one block at the far end of a swath of 100
+# blocks); minimum mean number of blocks in a bin; maximum number of bins.
 WIDTH, HELD, MOST = 0.01, 12, 200
-# Blocks apart, at most, of pairs that tell the gain; and pairs, about, at most.
+# Maximum distance in blocks between the pairs that determine the gain; approximate maximum number
+# of pairs.
 LAGS, PAIRS = 3, 300_000
-# The same where blocks of steep gain are left out in between: as wide as two steps of it are.
+# The same distance where blocks of steep gain in between are left out: the width of two steps.
 FAR = 8
-# Mean difference in log cotangent from which two looks see a block differently: 10 % of range.
+# Mean difference in log cotangent above which two looks see blocks differently: 10 % of range.
 DIFFERENT = 0.1
-# Share of a look's blocks that another look must see as well to be told by.
+# Share of a look's blocks that another look must also see for the two to be compared.
 SHARED = 0.3
-# Change of log gain from bin to bin (0.9 dB) from which its middle says little of a pixel's.
+# Change of log gain from bin to bin (0.9 dB) above which a bin's value says little about a pixel's.
 STEEP = 0.1
-# Share of what gain by angle leaves unexplained that gain by range must not exceed to be preferred.
+# Gain by range is preferred where its residual cost is below this share of that of gain by angle.
 BETTER = 0.97
-# Gain by range that makes no classes: log amplitude from the least to the greatest (0.4 dB).
+# Span of gain by range, in log amplitude, below which it cannot be mistaken for classes (0.4 dB).
 SLIGHT = 0.05
-# Log gain under its median (14 dB, as of blocks that are no sediment) that a bin has at least.
+# Log gain below the median (14 dB, as for blocks that are not sediment) at which a bin is dropped.
 LOWEST = 1.6
-# Weight that holds gains at 0 where nothing tells them, of that of one pair; rounds of reweighting,
-# at most, and change of any gain that ends them.
+# Ridge weight, relative to one pair, that holds gains at 0 where no data constrain them; maximum
+# number of reweighting rounds; largest change of a gain at which they stop.
 RIDGE, ROUNDS, SETTLED = 1e-3, 30, 1e-5
 
 
@@ -54,11 +54,11 @@ class Bands(NamedTuple):
     Attributes
     ----------
     places : tuple of ndarray
-        Rising log cotangents of the grazing angle, or logs of the slant range.
+        Log cotangents of the grazing angle, or logs of the slant range, in ascending order.
     gains : tuple of ndarray
         Log gain at each; linear between. NaN where there is no floor: in the water column.
     ranged : bool
-        Whether it goes by slant range.
+        Whether gain depends on slant range rather than on grazing angle.
     """
 
     places: tuple[FloatArray, ...]
@@ -67,13 +67,13 @@ class Bands(NamedTuple):
 
     @property
     def span(self) -> float:
-        """Log gain from the least to the greatest of a look."""
+        """Largest span (maximum less minimum) of a look's log gain."""
         return max(float(np.nanmax(g) - np.nanmin(g)) for g in self.gains)
 
     def of(
         self, look: int, cotangent: NDArray[Real], altitude: NDArray[Real] | None = None
     ) -> NDArray[Real]:
-        """Log gain of a look at grazing angles, and altitudes where it goes by range.
+        """Log gain of a look at grazing angles, and at altitudes where gain depends on range.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class Bands(NamedTuple):
         Raises
         ------
         ValueError
-            Where gain goes by range and no altitude is given.
+            Where gain depends on range and no altitude is given.
         """
         if not self.ranged:
             return self._at(look, log_angle(cotangent))
@@ -102,7 +102,7 @@ class Bands(NamedTuple):
         return self._at(look, self.place(blocks))
 
     def place(self, blocks: Blocks) -> FloatArray:
-        """Where blocks are."""
+        """Position of blocks in log range or log cotangent."""
         return blocks.reach if self.ranged else blocks.angle
 
     def _at(self, look: int, place: NDArray[Real]) -> NDArray[Real]:
@@ -111,7 +111,7 @@ class Bands(NamedTuple):
 
 
 def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
-    """Find blocks of any look within which the gain changes too much to be taken off pixels.
+    """Find blocks of any look within which gain changes too much to be subtracted from pixels.
 
     Parameters
     ----------
@@ -133,9 +133,9 @@ def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
 def evened(
     values: Iterable[FloatArray], known: NDArray[np.bool_], block: Blocks, bands: Bands
 ) -> list[FloatArray]:
-    """Take what follows angle, or range, off other statistics of a look's blocks.
+    """Remove the dependence on angle or range from other statistics of a look's blocks.
 
-    Noise lies under the floor by range, and resolution goes with it: where gain does, so may they.
+    Signal-to-noise ratio and resolution vary with range: where gain does, they may as well.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def evened(
     block : Blocks
         Of the look.
     bands : Bands
-        Whether by angle or range.
+        Decides between angle and range.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def evened(
 
 
 def leveled(blocks: Sequence[Blocks], bands: Bands) -> list[Blocks]:
-    """Take bands off the blocks of all looks, off their level and off how it scatters.
+    """Remove bands from the blocks of all looks: from their level and from its variance.
 
     Parameters
     ----------
@@ -176,13 +176,13 @@ def leveled(blocks: Sequence[Blocks], bands: Bands) -> list[Blocks]:
     Returns
     -------
     list of Blocks
-        In the water column nothing is known.
+        Blocks in the water column are unknown.
     """
     return [_leveled(block, bands, look) for look, block in enumerate(blocks)]
 
 
 def _leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
-    """Take bands off a look's blocks."""
+    """Remove bands from a look's blocks."""
     spread = np.log(np.maximum(block.variance, 1e-6))
     (spread,) = evened([spread], block.known > 0, block, bands)
     gain = bands.of_block(look, block)
@@ -192,7 +192,7 @@ def _leveled(block: Blocks, bands: Bands, look: int) -> Blocks:
 
 
 def find_bands(blocks: Sequence[Blocks], trends: FloatArray) -> Bands:
-    """Find what of each look's level follows range, beyond its trend.
+    """Find the part of each look's level that depends on range, beyond its trend.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def _fitted(blocks: Sequence[Blocks], levels: Sequence[FloatArray], ranged: bool
         places[k], gains[k] = at, _solved(*pairs, at.size)
     rest = [k for k in range(len(blocks)) if partners[k]]
     if rest:
-        # one sonar, one gain of range: what two looks have in common at one place is the floor
+        # one sonar has one gain by range: the floor is common to two looks of a block
         at, bins = _binned([blocks[k] for k in rest])
         first: list[Index] = []
         second: list[Index] = []
@@ -258,7 +258,7 @@ def _fitted(blocks: Sequence[Blocks], levels: Sequence[FloatArray], ranged: bool
 
 
 def _partners(blocks: Sequence[Blocks]) -> list[list[int]]:
-    """Find for each look those that see much of the same from elsewhere."""
+    """Find for each look those that see much of the same floor from another side or range."""
     result: list[list[int]] = [[] for _ in blocks]
     for k, one in enumerate(blocks):
         for j in range(k):
@@ -274,7 +274,7 @@ def _partners(blocks: Sequence[Blocks]) -> list[list[int]]:
 
 
 def _binned(blocks: Sequence[Blocks]) -> tuple[FloatArray, list[Index]]:
-    """Mean place of bins of range, and the bin of each block."""
+    """Return the mean position of range bins, and the bin of each block."""
     seen = np.concatenate([b.place[b.known > 0] for b in blocks])
     if not seen.size:
         return np.zeros(1), [np.zeros(b.place.shape, np.int64) for b in blocks]
@@ -292,21 +292,21 @@ def _binned(blocks: Sequence[Blocks]) -> tuple[FloatArray, list[Index]]:
 def _across(
     bins: Index, level: FloatArray, known: NDArray[np.bool_]
 ) -> tuple[Index, Index, FloatArray]:
-    """Bins of near blocks of unlike range, and by how much their levels differ."""
+    """Return the bins of pairs of near blocks in different bins, and their level differences."""
     one, other = _pairs(bins, known, LAGS)
     bins, level = bins.ravel(), level.ravel()
     return bins[one], bins[other], level[one] - level[other]
 
 
 def _pairs(bins: Index, known: NDArray[np.bool_], lags: int) -> tuple[Index, Index]:
-    """Places of near blocks of unlike range, and of their neighbours before them."""
+    """Return flat indices of blocks, and of near blocks before them that lie in other bins."""
     number = np.arange(bins.size).reshape(bins.shape)
     one, other = [], []
     for axis in (0, 1):
         b, n, k = (np.moveaxis(v, axis, 0) for v in (bins, number, known))
         for lag in range(1, lags + 1):
             both = np.flatnonzero(k[lag:] & k[:-lag] & (b[lag:] != b[:-lag]))
-            # an odd step meets all columns
+            # an odd step reaches all columns
             both = both[:: max(both.size * 2 * lags // PAIRS, 1) | 1]
             one.append(n[lag:].ravel()[both])
             other.append(n[:-lag].ravel()[both])
@@ -314,7 +314,7 @@ def _pairs(bins: Index, known: NDArray[np.bool_], lags: int) -> tuple[Index, Ind
 
 
 def _solved(first: Index, second: Index, change: FloatArray, count: int) -> FloatArray:
-    """Gains of bins that explain differences (first less second), robustly; about 0."""
+    """Solve robustly for the zero-mean gains of bins that explain differences (first - second)."""
     gain = np.zeros(count)
     if change.size < 2 * count:
         return gain
@@ -328,13 +328,13 @@ def _solved(first: Index, second: Index, change: FloatArray, count: int) -> Floa
         if np.abs(gain - before).max() < SETTLED:
             break
     gain -= gain.mean()
-    # so far below it is the water column, not a beam pattern
+    # a gain this low is the water column, not a beam pattern
     return np.where(gain < np.median(gain) - LOWEST, np.nan, gain)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _rest(first, second, change, gain):  # type: ignore[no-untyped-def]
-    """Take gains off differences."""
+    """Subtract gains from differences."""
     rest = np.empty(change.size)
     for i in range(change.size):
         rest[i] = change[i] - gain[first[i]] + gain[second[i]]
@@ -343,7 +343,7 @@ def _rest(first, second, change, gain):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _weighed(first, second, change, gain, scale):  # type: ignore[no-untyped-def]
-    """Weights of pairs of bins, and what their differences add up to in each bin."""
+    """Sum the weights of each pair of bins, and the weighted differences in each bin."""
     joined, right = np.zeros((gain.size, gain.size)), np.zeros(gain.size)
     for i in range(change.size):
         a, b = first[i], second[i]

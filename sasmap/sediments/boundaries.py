@@ -1,4 +1,4 @@
-"""Boundaries between two sediments of known laws, row by row: the published way (G section 4).
+"""Boundaries between two sediments of known laws, row by row: the published method (G section 4).
 
 Arrays (rows, N) hold log densities of the amplitudes under the left and the right law; positions c
 run from 0 to N, position c lying before pixel c. Two windows of u pixels meet at c (G figure 6).
@@ -58,7 +58,7 @@ def window_likelihoods(log_left: FloatArray, log_right: FloatArray, u: int = WIN
 def window_ratios(log_left: FloatArray, log_right: FloatArray, u: int = WINDOW) -> Windows:
     """Log likelihood ratios of windows: L', R' and Z' (G 9, 10).
 
-    Parameters and result as of :func:`window_likelihoods`.
+    Parameters and result as in :func:`window_likelihoods`.
     """
     ratio = np.asarray(log_left, float) - np.asarray(log_right, float)
     return window_likelihoods(ratio, -ratio, u)
@@ -86,7 +86,7 @@ class Profiles(NamedTuple):
     Attributes
     ----------
     position : ndarray of int (rows,)
-        c of the best.
+        Position c of the best fit.
     filtered : ndarray (rows, N + 1)
         The profile itself; NaN where the data are.
     """

@@ -1,4 +1,4 @@
-"""Sediment classes of another survey, taken over."""
+"""Sediment classes taken over from another survey."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from sasmap.sediments.trends import AmplitudeGrid, Blocks, first_trends, refit, 
 
 FloatArray = NDArray[np.float64]
 
-# By how much this survey's gain may differ (standard deviation of the log amplitude: 3 dB), gains
-# that are tried, rounds of a fit.
+# Standard deviation of the gain difference between surveys (log amplitude: 3 dB), gains that are
+# tried as starting values, iterations of a fit.
 GAIN_SD = 0.35
 GAINS = np.linspace(-1.5, 1.5, 13)
 GAIN_ROUNDS = 10
-# Scatter of blocks' mean and log variance about their class's.
+# Scatter of the mean and of the log variance of blocks about those of their class.
 SCATTER = (0.05, 0.15)
 
 
@@ -31,17 +31,17 @@ def carry_over(
     centre: float,
     workers: Workers = 1,
 ) -> Classes:
-    """Take another survey's classes: find each look's gain and range trend under them.
+    """Take over another survey's classes: fit each look's gain and range trend to them.
 
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice; slices are read.
+        On one lattice; read in slices.
     laws : sequence of Law
     centre : float
         Log of the cotangent of the grazing angle at which they hold.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def carry_over(
 def _trends(
     blocks: list[Blocks], means: FloatArray, spreads: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Gain and trend of each look under known classes, and the log likelihood."""
+    """Fit gain and trend of each look under known classes; also return the log likelihood."""
     first = first_trends(blocks)
     best, best_score = first, -np.inf
     for gain in GAINS:
@@ -92,7 +92,7 @@ def _trends(
 def _assigned(
     blocks: list[Blocks], trends: FloatArray, means: FloatArray, spreads: FloatArray
 ) -> tuple[NDArray[np.int64], float]:
-    """Class of each block, -1 where none is known, and the log likelihood of all."""
+    """Assign each block to a class, -1 where unknown; also return the total log likelihood."""
     total = np.zeros((means.size, *blocks[0].mean.shape))
     seen = np.zeros(blocks[0].mean.shape, bool)
     for block, trend in zip(blocks, trends, strict=True):

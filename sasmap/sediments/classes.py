@@ -1,4 +1,4 @@
-"""Sediment classes of a survey, and what is too dark to be one."""
+"""Sediment classes of a survey, and areas too dark to be sediment."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, Real, log_cota
 
 FloatArray = NDArray[np.float64]
 
-# Below the survey's median log amplitude by so much (14 dB) there is no sediment, or below that of
-# the darkest known one (5 dB); blocks that tell what is there instead, at least.
+# Log amplitude below the survey's median (14 dB) and, where sediments are known, below the darkest
+# one (5 dB) at which a block is not sediment; minimum number of such blocks to fit their law.
 DARK, DARKER, LEAST_DARK = 1.6, 0.58, 4
 
 
@@ -30,20 +30,20 @@ class Classes:
     Attributes
     ----------
     laws : tuple of Law
-        By rising mean intensity where they were found, so that numbers are stable.
+        In order of rising mean intensity where found by clustering, so that numbers are stable.
     trends : ndarray (looks, 3)
         Log gain of each look, and its slope and bend with the log cotangent of the
         grazing angle about `centre`.
     centre : float
         Log of a cotangent.
     noise_factor : float
-        Pixels that one independent sample makes.
+        Pixels per independent sample.
     dark : Law or None
-        Of what is too dark to be sediment: shadow, water column.
+        Law of areas too dark to be sediment: shadow, water column.
     texture : Texture or None
-        Laws at several scales, where amplitude alone does not tell the classes.
+        Laws at several scales, where amplitude alone does not separate the classes.
     bands : Bands or None
-        Gain by range that would else have been sediments, though no two looks confirm them.
+        Gain by range that would otherwise appear as sediments that no two looks confirm.
     """
 
     laws: tuple[Law, ...]
@@ -56,18 +56,18 @@ class Classes:
 
     @property
     def every(self) -> tuple[Law, ...]:
-        """Laws of the classes, and after them that of what is no sediment."""
+        """Laws of the classes, followed by that of areas that are not sediment."""
         return self.laws if self.dark is None else (*self.laws, self.dark)
 
     @property
     def ranged(self) -> bool:
-        """Whether gain goes by slant range, so that altitudes are asked for."""
+        """Whether gain depends on slant range, so that altitudes are required."""
         return self.bands is not None and self.bands.ranged
 
     def log_trend(
         self, look: int, cotangent: NDArray[Real], altitude: NDArray[Real] | None = None
     ) -> NDArray[Real]:
-        """Log of the amplitude that a look's gain, trend and bands make.
+        """Log amplitude contributed by a look's gain, trend and bands.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class Classes:
 
 
 def log_moments(law: Law) -> tuple[float, float]:
-    """Mean and log variance of a law's log amplitude."""
+    """Return the mean and the log variance of a law's log amplitude."""
     t = np.log(law.mean_square) / 2 + np.linspace(-14, 5, 2000)
     weight = np.exp(law.log_density(np.exp(t)) + t)
     weight /= weight.sum()
@@ -100,7 +100,7 @@ def log_moments(law: Law) -> tuple[float, float]:
 def dark_blocks(
     blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()
 ) -> NDArray[np.bool_]:
-    """Blocks too dark to be sediment, by their neighbourhood's; or by the laws of sediments."""
+    """Find blocks too dark to be sediment, by the survey's median and by the sediments' laws."""
     level, weight = levels(blocks, trends)
     seen = weight > 0
     limit = float(np.median(level[seen])) - DARK
@@ -110,7 +110,7 @@ def dark_blocks(
 
 
 def dark_law(flat: Sequence[Flat], dark: NDArray[np.bool_], factor: float) -> Law | None:
-    """Fit the law of what is too dark to be sediment, if there is enough of it."""
+    """Fit the law of blocks too dark to be sediment, if there are enough of them."""
     if dark.sum() < LEAST_DARK:
         return None
     values = pixels_of(flat, dark)
@@ -118,7 +118,7 @@ def dark_law(flat: Sequence[Flat], dark: NDArray[np.bool_], factor: float) -> La
 
 
 def levels(blocks: list[Blocks], trends: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean log amplitude of blocks over all looks, and how many pixels tell it."""
+    """Average the log amplitude of blocks over all looks; also return the number of pixels."""
     weight = np.sum([b.known for b in blocks], axis=0)
     level = np.sum(
         [b.known * (b.mean - trend_of(t, b.place)) for b, t in zip(blocks, trends, strict=True)],
@@ -128,7 +128,7 @@ def levels(blocks: list[Blocks], trends: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def noise_factor(looks: Sequence[AmplitudeGrid], blocks: Sequence[Blocks] | None = None) -> float:
-    """Pixels to one independent sample, by the middle of each look.
+    """Estimate the number of pixels per independent sample from the middle of each look.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def noise_factor(looks: Sequence[AmplitudeGrid], blocks: Sequence[Blocks] | None
             row, column = row * BLOCK + BLOCK // 2, column * BLOCK + BLOCK // 2
         box = slice(max(row - 64, 0), row + 64), slice(max(column - 64, 0), column + 64)
         part = np.asarray(look.amplitude[box], float)
-        # texture and edges are longer than speckle: only what is near counts
+        # texture and edges correlate over longer distances than speckle: remove the local level
         factors.append(np.isfinite(part).sum() / max(effective_samples(_whitened(part)), 1.0))
     return float(max(np.median(factors), 1.0))
 

@@ -1,4 +1,4 @@
-"""Where each sediment class lies: likelihoods, a Potts field that does not smear edges, a sieve."""
+"""Map of sediment classes: likelihoods, a Potts field that does not smear edges, a sieve."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ from sasmap.sediments.texture import Texture, channels, evidence
 from sasmap.sediments.trends import AmplitudeGrid
 
 GRID = 1024
-# Potts field: pixels of its window, and its strength in nats where all neighbours agree.
+# Potts field: side of its window in pixels, its strength in nats where all neighbours agree, and
+# mean-field iterations.
 FIELD, STRENGTH, ROUNDS = 9, 9.0, 12
 FIRST_WINDOW = 13
-# Pixels a side of what must be dark in a textured bed to be no sediment.
+# Side in pixels of the window whose darkness decides what is not sediment in a textured bed.
 DARK_WINDOW = 17
-# Pixels of the smallest patch that the map shows.
+# Smallest patch that the map shows, in pixels.
 SMALLEST = 300
 
 
 def log_likelihoods(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.float32]:
-    """Log likelihood of each class at each pixel, all looks together.
+    """Compute the log likelihood of each class at each pixel, over all looks.
 
-    And after them, where the survey has any, of what is no sediment.
+    Where the survey has a law for areas that are not sediment, its log likelihood comes last.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def log_likelihoods(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray
     Returns
     -------
     ndarray (classes, rows, columns)
-        Of independent samples (over the noise factor); NaN where no look shows a pixel.
+        Divided by the noise factor, as for independent samples; NaN where no look shows a pixel.
     """
     if classes.texture is not None:
         return _with_texture(looks, classes, classes.texture)
@@ -54,7 +55,7 @@ def log_likelihoods(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray
 
 
 def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.float32]:
-    """Log likelihoods of amplitude laws."""
+    """Log likelihoods under amplitude laws."""
     shape = looks[0].amplitude.shape
     result = np.zeros((len(classes.every), *shape), np.float32)
     seen = np.zeros(shape, bool)
@@ -73,7 +74,7 @@ def _of_pixels(looks: Sequence[AmplitudeGrid], classes: Classes) -> NDArray[np.f
 
 
 def _logs(look: AmplitudeGrid) -> NDArray[np.float32] | None:
-    """Log amplitude, NaN where there is none; None if nowhere is any."""
+    """Log amplitude, NaN where there is none; None if there is none anywhere."""
     known = look.amplitude > 0
     if not known.any():
         return None
@@ -85,7 +86,7 @@ def _logs(look: AmplitudeGrid) -> NDArray[np.float32] | None:
 def _with_texture(
     looks: Sequence[AmplitudeGrid], classes: Classes, texture: Texture
 ) -> NDArray[np.float32]:
-    """Log odds by laws at several scales; looks see one texture, so they are averaged."""
+    """Log odds by laws at several scales; looks see the same texture, so they are averaged."""
     shape = looks[0].amplitude.shape
     result = np.zeros((len(classes.every), *shape), np.float32)
     seen = np.zeros(shape, np.float32)
@@ -100,7 +101,7 @@ def _with_texture(
         seen += known
     result /= np.maximum(seen, 1)
     if classes.dark is not None:
-        # by amplitude: as much darker than the likeliest class as a window around tells
+        # by amplitude: log likelihood ratio to the likeliest class, summed over a window
         level = np.nan_to_num(_of_pixels(looks, classes))
         darker = level[-1] - level[:-1].max(axis=0)
         around = uniform_filter(darker, DARK_WINDOW, mode="reflect") * DARK_WINDOW**2
@@ -112,7 +113,7 @@ def _with_texture(
 def averaged(
     likelihood: NDArray[np.float32], mask: NDArray[np.bool_], side: int
 ) -> NDArray[np.float32]:
-    """Average log likelihoods over squares, of what is marked and where it is.
+    """Average log likelihoods over squares, within the marked pixels only.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ def averaged(
 
 
 def below_best(likelihood: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Take the best class off log likelihoods (classes, rows, columns); 0 where unknown."""
+    """Subtract the best class from log likelihoods (classes, rows, columns); 0 where unknown."""
     level: NDArray[np.float32] = likelihood - likelihood.max(axis=0)
     unknown = np.isnan(level[0])
     if unknown.any():
@@ -151,7 +152,7 @@ class ClassMap(NamedTuple):
     label : ndarray of uint8 (rows, columns)
         1 for the first class; 0 where no look shows the floor.
     probability : ndarray (rows, columns)
-        Of the class; NaN where there is none.
+        Posterior probability of that class; NaN where there is none.
     """
 
     label: NDArray[np.uint8]
@@ -168,9 +169,9 @@ def class_map(
     likelihood : ndarray (classes, rows, columns)
         Of :func:`log_likelihoods`.
     count : int, optional
-        Sediments; what comes after them is none. Default all.
+        Number of sediments; later classes are not sediment. Default all.
     whole : bool
-        Whether the map ends at the edges; where not, what is small there may be more beyond.
+        Whether the map ends at the edges; if not, small patches there may continue beyond.
 
     Returns
     -------
@@ -198,18 +199,18 @@ def sieved(
     whole: bool = True,
     among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.uint8]:
-    """Give patches of too few pixels to the class that is nearest.
+    """Assign patches of too few pixels to the nearest other class.
 
     Parameters
     ----------
     label : ndarray of uint8 (rows, columns)
         0 for none.
     smallest : float
-        Pixels of the smallest patch that stays.
+        Size in pixels of the smallest patch that stays.
     whole : bool
-        Whether patches end at the edges; where not, those that touch them stay.
+        Whether patches end at the edges; if not, those that touch them stay.
     among : ndarray of bool (rows, columns), optional
-        Pixels that half of such a patch lies on, at least. Default all.
+        Only patches with at least half their pixels here are reassigned. Default all.
 
     Returns
     -------
@@ -226,7 +227,7 @@ def sieved(
     if not few.any():
         return label
     lost = few[parts]
-    # what is nearest lies at a rim
+    # the nearest pixel lies on a rim
     rim = rims((label > 0) & ~lost)
     if not len(rim):
         return label

@@ -1,12 +1,12 @@
-"""What of a rippled bed's amplitude its relief leaves unchanged, by the scattering law.
+"""Mean of a rippled bed's amplitude that its relief does not change, by the scattering law.
 
-Under Lambert's law amplitude goes with the sine of the local grazing angle, and so with the area
-that a facet shows: the mean over a wavelength is that of flat floor, shadow or not. Where amplitude
-goes with a power m of the sine, it is the mean of its power 1/m that is conserved: of m below 1
-bright facets tell more, in the limit the brightest alone (floor as bright at any angle but where it
-lies in shadow), of m above 1 they tell less. By the wrong m a bed's level changes with the depth of
-its shadow: from near to far range, and at its edge. By the right one blocks of a bed, and of the
-same floor without ripples beside it, agree.
+Under Lambert's law amplitude is proportional to the sine of the local grazing angle, and so to the
+projected area of a facet: the mean over a wavelength equals that of flat floor, with or without
+shadow. Where amplitude goes as a power m of the sine, the mean of amplitude to the power 1/m is
+conserved: for m below 1 bright facets have more weight, in the limit the brightest alone (floor
+equally bright at any angle except in shadow), for m above 1 less. With the wrong m a bed's level
+changes with the amount of shadow: from near to far range, and at its edge. With the right one,
+blocks of a bed agree with each other and with the same floor without ripples beside it.
 """
 
 from __future__ import annotations
@@ -22,22 +22,23 @@ from sasmap.sediments.trends import BLOCK, log_cotangent
 
 FloatArray = NDArray[np.float64]
 
-# Powers of the sine that are tried. Amplitude of sand goes with 0.5 to 2 of it over most angles
-# (APL-UW TR 9407); nearly 0 is floor that is alike at all angles.
+# Powers of the sine that are tried. Amplitude of sand goes with powers of 0.5 to 2 over most angles
+# (APL-UW TR 9407); a power near 0 is floor of the same amplitude at all angles.
 POWERS = (0.1, 0.25, 0.35, 0.5, 0.7, 1.0, 1.35, 1.8, 2.5)
 LAMBERT = POWERS.index(1.0)
-# Pixels apart that are looked at, those over which powers are averaged (standard deviation: half of
-# the longest wave that is taken off), and those around a place that decide.
+# Sampling step in pixels; pixels over which powers are averaged (standard deviation: half of the
+# longest wave that is removed); margin in pixels that influences a place.
 STEP, AVERAGED, MARGIN = 4, 64, 256
-# Blocks apart of pairs that tell the power: nearer ones differ by their place on a ripple; pairs of
-# one direction and distance, at most; and pairs between which corrections differ by so much (log
-# amplitude) that there must be.
+# Distances in blocks between the pairs that determine the power (nearer blocks differ by their
+# place on a ripple); maximum number of pairs for one direction and distance; minimum range over the
+# powers of a useful pair's correction (log amplitude), and minimum number of useful pairs.
 LAGS, PAIRS, DIFFER, FEWEST = (4, 8, 16), 20_000, 0.03, 200
-# Share of blocks that must be free of ripples. Within one bed that fills a survey power and gain by
-# range are the same, and that gain is taken off anyway.
+# Minimum share of blocks that are free of ripples. Within one bed that fills a survey, power and
+# gain by range cannot be separated, and that gain is removed anyway.
 LEVEL = 0.1
-# Share of the cost under Lambert's law that another must not exceed to be preferred: the right one
-# of simulated beds under a Gaussian law has 0.92 to 0.99, beside flat floor; of Lambert's, 0.9999.
+# Another power is preferred where its cost is below this share of that under Lambert's law. On
+# simulated beds beside flat floor, the best power has 0.92 to 0.99 of it under a Gaussian law, and
+# 0.9999 under Lambert's.
 BETTER = 0.998
 ROUNDS = 10
 
@@ -48,13 +49,13 @@ class Bed(NamedTuple):
     Attributes
     ----------
     level : ndarray (block rows, block columns)
-        Mean log amplitude, ripples taken off; NaN where there is none.
+        Mean log amplitude with ripples removed; NaN where there is none.
     place : ndarray (block rows, block columns)
         Log cotangent of the grazing angle.
     change : ndarray (powers, block rows, block columns)
-        What the level of rippled floor changes by under other powers than Lambert's.
+        Change of the level of rippled floor under each power, relative to Lambert's.
     share : ndarray (block rows, block columns)
-        That is rippled.
+        Rippled share of each block.
     """
 
     level: FloatArray
@@ -64,7 +65,7 @@ class Bed(NamedTuple):
 
     @classmethod
     def nowhere(cls, rows: int, columns: int) -> Bed:
-        """Blocks of which nothing is known."""
+        """Return blocks without data."""
         nothing, change = (
             np.zeros((rows, columns)),
             np.zeros((len(POWERS), rows, columns)),
@@ -97,7 +98,7 @@ def bed_of(
     cotangent : ndarray (rows, columns)
         Of the grazing angle.
     profile : ndarray (rows, columns)
-        Log of what ripples do to the amplitude, whose mean is then 1; 0 where there are none.
+        Log of the amplitude profile of ripples, whose mean is 1; 0 where there are none.
     rippled : ndarray of bool (rows, columns)
 
     Returns
@@ -122,9 +123,9 @@ def bed_of(
 
 
 def _changes(logs: NDArray[np.float32], there: NDArray[np.bool_]) -> FloatArray:
-    """Find what power means are over the plain one, log amplitude, by blocks.
+    """Compute log power means relative to the plain mean, by blocks.
 
-    A block's mean stands for its pixels: the averages are four blocks wide.
+    A block's mean stands for its pixels, since the averages are four blocks wide.
     """
     width = AVERAGED / BLOCK
     many = _blocks(there)
@@ -155,7 +156,7 @@ def power_of(beds: Sequence[Bed]) -> int:
     Returns
     -------
     int
-        Place in ``POWERS``: Lambert's where no other is surely better.
+        Index in ``POWERS``: Lambert's where no other is clearly better.
     """
     known = np.concatenate([np.isfinite(bed.level).ravel() for bed in beds])
     flat = np.concatenate([bed.share.ravel() == 0 for bed in beds])
@@ -171,7 +172,7 @@ def power_of(beds: Sequence[Bed]) -> int:
 
 
 def _pairs(bed: Bed) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Subtract near blocks: levels (n,), changes (powers, n), places and their squares (n, 2)."""
+    """Differences of near blocks: level (n,), change (powers, n), place and its square (n, 2)."""
     level, change, step = [], [], []
     for axis in (0, 1):
         v, p = np.moveaxis(bed.level, axis, 0), np.moveaxis(bed.place, axis, 0)
@@ -188,7 +189,7 @@ def _pairs(bed: Bed) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _cost(pairs: tuple[FloatArray, FloatArray, FloatArray], power: int) -> float:
-    """Robust misfit (Geman-McClure) of a power, and the trend over range that suits it best."""
+    """Robust misfit (Geman-McClure) of a power, with the best-fitting trend over range."""
     level, change, step = pairs
     if not level.size:
         return 0.0

@@ -1,6 +1,6 @@
-"""Densities of the generalised K law (G 5) and what is integrated from them, arrays in and out.
+"""Densities of the generalised K law (G 5) and integrals of them, arrays in and out.
 
-No factor is computed that could overflow or cancel: see :mod:`sasmap.sediments.kernel`.
+No computed factor can overflow or cancel: see :mod:`sasmap.sediments.kernel`.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from sasmap.sediments.kernel import (
 
 FloatArray = NDArray[np.float64]
 
-# Points of the Gauss-Legendre rule on each of a law's smooth pieces.
+# Points and weights of the Gauss-Legendre rule on each smooth piece of a law.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
-# Newton steps, at most, to a quantile.
+# Maximum number of Newton steps to a quantile.
 STEPS = 60
 
 
 class Table:
-    """Places of one law of scale 1 with the probability below and above each.
+    """Points of one law of scale 1 with the probability below and above each.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Table:
         self.place, self.below, self.above = cumulate(nu, kappa, NODES, WEIGHTS)
 
     def cdf(self, x: FloatArray) -> FloatArray:
-        """Probability below x (n,); small values to their own precision."""
+        """Probability below x (n,); small values to full relative precision."""
         i = np.clip(np.searchsorted(self.place, x, side="right") - 1, 0, self.place.size - 1)
         result = np.empty(x.size)
         for k, (j, value) in enumerate(zip(i, x, strict=True)):
@@ -56,7 +56,7 @@ class Table:
         return np.minimum(result, 1.0)
 
     def sf(self, x: FloatArray) -> FloatArray:
-        """Probability above x (n,); small values to their own precision."""
+        """Probability above x (n,); small values to full relative precision."""
         i = np.searchsorted(self.place, x, side="right")
         result = np.zeros(x.size)
         for k, (j, value) in enumerate(zip(i, x, strict=True)):
@@ -67,11 +67,11 @@ class Table:
         return np.minimum(result, 1.0)
 
     def quantile(self, q: FloatArray, upper: bool) -> FloatArray:
-        """Where the probability below (or above) is q (n,)."""
+        """Points at which the probability below (or above) is q (n,)."""
         return np.array([self._quantile(float(p), upper) for p in q])
 
     def quadrature(self) -> tuple[FloatArray, FloatArray]:
-        """Places, and probability that each stands for, over all of the law (pieces, points)."""
+        """Quadrature points and their probability weights over the whole law (pieces, points)."""
         low, high = self.place[:-1, None], self.place[1:, None]
         x = low + 0.5 * (high - low) * (1 + NODES)
         density = np.exp(log_densities(x.ravel(), self.nu, self.kappa)).reshape(x.shape)
@@ -109,7 +109,7 @@ class Table:
 
 @lru_cache(maxsize=64)
 def table(nu: float, kappa: float) -> Table:
-    """Table of a law, kept for the next call."""
+    """Return the table of a law, cached for the next call."""
     return Table(nu, kappa)
 
 
@@ -131,7 +131,7 @@ def by_law(
 
 
 def log_density_of(x: FloatArray, nu: FloatArray, kappa: FloatArray) -> FloatArray:
-    """Log density of scale 1 at x >= 0, of arguments that broadcast.
+    """Log density at x >= 0 for scale 1; arguments broadcast.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def log_density_of(x: FloatArray, nu: FloatArray, kappa: FloatArray) -> FloatArr
 
 
 def even_moment(m: int, nu: FloatArray, kappa: FloatArray) -> FloatArray:
-    """E[x^(2 m)] of scale 1.
+    """E[x^(2 m)] for scale 1.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def even_moment(m: int, nu: FloatArray, kappa: FloatArray) -> FloatArray:
 
 
 def moment(law: Table, order: FloatArray) -> FloatArray:
-    """E[x^order] of scale 1 by integration over the law's smooth pieces."""
+    """E[x^order] for scale 1, by integration over the law's smooth pieces."""
     x, weight = law.quadrature()
     total = (weight * x ** float(order[0])).sum()
     return np.full(order.size, total)

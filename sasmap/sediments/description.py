@@ -1,4 +1,4 @@
-"""Texture of blocks: how amplitude varies at several scales, summed up once for all trials."""
+"""Texture of blocks: variation of amplitude at several scales, summed once for all trial gains."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from sasmap.sediments.trends import BLOCK, MIN_KNOWN, Blocks, trend_of
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-# Blocks a side over which texture is described: 48 pixels.
+# Side in blocks of the window over which texture is described: 48 pixels.
 AROUND = 3
-# Blocks a side that must be free of other groups around one whose texture is its own: texture is
-# described by 24 pixels to each side, of averages over 16.
+# Side in blocks of the window that must be free of other groups for a block's texture to be its
+# own: texture is described from 24 pixels to each side, of averages over 16.
 CLEAR = 5
-# Pixels over which intensity is averaged: of more, a block holds too few.
+# Pixels over which intensity is averaged: at the coarsest scale a block holds too few averages.
 LEVELS = SCALES[:-1]
 
 
@@ -56,12 +56,12 @@ class BlockTexture:
     Attributes
     ----------
     sums : list of ndarray of float32 (block rows, block columns, 13)
-        Of each look. Of known pixels; of their log amplitude at each scale but the coarsest, and
-        its squares; of the squares of differences. 0 where nothing is described.
+        For each look: number of known pixels; sums of their log amplitude at each scale except the
+        coarsest, and of its squares; sums of squared differences. 0 outside the described tiles.
     gains : list of ndarray (block rows, block columns)
-        Log gain that was taken off.
+        Log gain that was subtracted.
     shown : ndarray of bool (block rows, block columns)
-        Blocks all of whose neighbours are described.
+        Blocks whose neighbours are all described.
     """
 
     sums: list[NDArray[np.float32]]
@@ -84,12 +84,12 @@ class BlockTexture:
         ----------
         flat : sequence of Flat
         gains : list of ndarray (block rows, block columns)
-            Log gain that these have lost.
+            Log gain subtracted from these.
         shape : tuple of int
             Block rows and columns.
         chosen : sequence of tuple of slice
         workers : int, None or callable
-            Threads, or what spreads work.
+            Number of threads, or a callable that distributes work.
         rippled : ndarray of bool (block rows, block columns), optional
             Blocks that will be left out under every gain.
 
@@ -109,22 +109,22 @@ class BlockTexture:
         bands: Bands | None,
         dark: NDArray[np.bool_],
     ) -> FloatArray:
-        """Texture of blocks and those around them under a gain.
+        """Compute the texture of blocks with their neighbours under a gain.
 
         Parameters
         ----------
         blocks : sequence of Blocks
         trends : ndarray (looks, 3)
         bands : Bands or None
-            Scatter and differences lose what follows these as well.
+            Variances and differences are corrected for variation with range as well.
         dark : ndarray of bool (block rows, block columns)
-            Blocks that are left out, and what they touch.
+            Blocks that are left out, together with those around them.
 
         Returns
         -------
         ndarray (block rows, block columns, 9)
-            Mean log amplitude, log variances of it at each scale but the coarsest, and log mean
-            squares of differences; the mean over all looks. NaN where unknown.
+            Mean log amplitude, its log variances at each scale except the coarsest, and log mean
+            squares of differences, averaged over all looks. NaN where unknown.
         """
         split = len(LEVELS)
         total = np.zeros((*dark.shape, 1 + split + len(LAGS)))
@@ -134,7 +134,7 @@ class BlockTexture:
         for taken, before, after, block in zip(self.sums, self.gains, gains, blocks, strict=True):
             sums = np.moveaxis(taken.astype(float), -1, 0) * ~dark
             count, levels, squares = sums[0], sums[1 : 1 + split], sums[1 + split : 1 + 2 * split]
-            # a gain is even within a block
+            # gain is constant within a block
             off = before - after
             squares += off * (2 * levels + off * count)
             levels += off * count
@@ -150,7 +150,7 @@ class BlockTexture:
 
 
 def _values(sums: FloatArray) -> FloatArray:
-    """Mean log amplitude, log variances, log mean squares of differences of sums (13, ...)."""
+    """Mean log amplitude, log variances and log mean squared differences from sums (13, ...)."""
     means = sums[1:] / np.maximum(sums[0], 1e-9)
     levels, squares, apart = np.split(means, [len(LEVELS), 2 * len(LEVELS)])
     scatter = np.log(np.maximum(squares - levels**2, 1e-6))
@@ -158,14 +158,14 @@ def _values(sums: FloatArray) -> FloatArray:
 
 
 def described(look: Flat, chosen: NDArray[np.bool_], workers: Workers = 1) -> FloatArray:
-    """Texture of a look's blocks, each on its own.
+    """Compute the texture of a look's blocks, each without its neighbours.
 
     Parameters
     ----------
     look : Flat
     chosen : ndarray of bool (block rows, block columns)
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
 
     Returns
     -------
@@ -181,10 +181,9 @@ def described(look: Flat, chosen: NDArray[np.bool_], workers: Workers = 1) -> Fl
 def _texture_sums(
     look: Flat, shape: tuple[int, ...], chosen: Sequence[Part], workers: Workers
 ) -> NDArray[np.float32]:
-    """Add up over blocks (block rows, block columns, 13), tile by tile; 0 in no tile.
+    """Sum over blocks (block rows, block columns, 13), tile by tile; 0 outside tiles.
 
-    Of known pixels; of their log amplitude at each scale but the coarsest, and its squares; of the
-    squares of differences.
+    The sums are those of :attr:`BlockTexture.sums`.
     """
     result = np.zeros((*shape, 1 + 2 * len(LEVELS) + len(LAGS)), np.float32)
 
@@ -198,7 +197,7 @@ def _texture_sums(
 
 
 def _bounds(tile: Part, blocks: NDArray[np.bool_]) -> Part | None:
-    """Smallest part of a tile that holds some blocks; None where it holds none."""
+    """Bounding box of marked blocks within a tile; None where it holds none."""
     held = blocks[blocks_in(tile)]
     if not held.any():
         return None
@@ -215,7 +214,7 @@ def _bounds(tile: Part, blocks: NDArray[np.bool_]) -> Part | None:
 def block_texture(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:
     """Describe the whole blocks of an image.
 
-    An average is looked at twice in its own length, which tells as much as at every pixel.
+    Averages are sampled twice per their length, which gives as much information as every pixel.
 
     Parameters
     ----------
@@ -232,7 +231,7 @@ def block_texture(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:
     known = amplitude > 0
     share = known.astype(np.float32)
     count = _block_sums(share, BLOCK)
-    # single precision holds squares of amplitudes about the mean one, whatever their unit
+    # in units of the mean amplitude, squares stay in the range of single precision
     unit = float(np.mean(amplitude, where=known)) if known.any() else 1.0
     power = np.square(np.where(known, amplitude, 0).astype(np.float32) / np.float32(unit))
     levels, squares, apart = [], [], []
@@ -252,13 +251,13 @@ def block_texture(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def _quartered(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Add up squares of two by two."""
+    """Sum over disjoint squares of 2 by 2."""
     down = values[::2] + values[1::2]
     return np.asarray(down[:, ::2] + down[:, 1::2])
 
 
 def _pooled(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Add up squares of two by two that begin at each place; the last is twice in its own."""
+    """Sum over the square of 2 by 2 that begins at each place; the last row and column repeat."""
     wide = np.pad(values, ((0, 1), (0, 1)), "edge")
     down = wide[:-1] + wide[1:]
     return np.asarray(down[:, :-1] + down[:, 1:])
@@ -267,7 +266,7 @@ def _pooled(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def _differences(
     level: NDArray[np.float32], there: NDArray[np.bool_], behind: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Squared differences, down plus across, from so many places behind to one ahead; and where."""
+    """Squared differences, down plus across, from `behind` places back to one ahead; and where."""
     pad = ((behind, 1), (behind, 1))
     wide, known = np.pad(level, pad, "edge"), np.pad(there, pad, "edge")
     (rows, columns), step = level.shape, behind + 1
@@ -282,7 +281,7 @@ def _differences(
 def _known_mean(
     values: NDArray[np.float32], there: NDArray[np.bool_], side: int
 ) -> NDArray[np.float32]:
-    """Mean over squares of what is known; 0 where nothing is."""
+    """Mean of known values over squares; 0 where there are none."""
     if there.all():
         return np.asarray(_block_sums(values, side) / np.float32(side * side), np.float32)
     many = _block_sums(there.astype(np.float32), side)
@@ -297,7 +296,7 @@ def _block_sums(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
 
 
 def _shown(chosen: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Blocks of some tiles, all neighbours of which are in tiles."""
+    """Mark blocks in tiles whose neighbours are all in tiles."""
     mask = np.zeros(shape, bool)
     for part in chosen:
         mask[blocks_in(part)] = True

@@ -1,4 +1,4 @@
-"""Amplitude laws of sea floors under the conventions of scipy.stats: generalised K and K.
+"""Amplitude laws of sea floors in the conventions of scipy.stats: generalised K and K.
 
 Rayleigh, Rice, Weibull and lognormal are scipy's own.
 """
@@ -18,15 +18,15 @@ from sasmap.sediments.moments import fit_moments
 
 FloatArray = NDArray[np.float64]
 
-# Where a search with a held parameter starts at most and at least: beyond, the likelihood
-# of speckle is flat in nu (Rayleigh or Rice) or at the edge of what kappa may be.
+# Largest nu and smallest kappa at which a search with a fixed parameter starts: beyond, the
+# likelihood of speckle is flat in nu (Rayleigh or Rice) or kappa is at its bound.
 FREE_NU, FREE_KAPPA = 50.0, 0.1
 
 
 class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
     """Generalised K law of an amplitude (G 5): shapes nu and kappa = delta / a; the scale is a.
 
-    Texture z ~ Gamma(nu, mean 1) scales drift and variance of the speckle alike; kappa = 0 is the K
+    Texture z ~ Gamma(nu, mean 1) scales both drift and variance of the speckle; kappa = 0 is the K
     law, nu to infinity Rice, both Rayleigh. E[x^2] = a^2 (1 + kappa^2 (1 + 1 / nu)).
 
     Examples
@@ -86,9 +86,9 @@ class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
         data : array_like
             Amplitudes, at least 0.
         **kwds
-            As in scipy, ``f0`` (or ``fnu``, ``fix_nu``) holds nu at a value, ``f1`` (or ``fkappa``,
+            As in scipy, ``f0`` (or ``fnu``, ``fix_nu``) fixes nu, ``f1`` (or ``fkappa``,
             ``fix_kappa``) kappa, ``fscale`` the scale; ``floc`` must be 0. ``method="MM"`` fits by
-            moments, with nothing held.
+            moments, with nothing fixed.
 
         Returns
         -------
@@ -97,7 +97,7 @@ class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
         Raises
         ------
         ValueError
-            Where data are empty, negative or not finite, or another loc is asked for.
+            Where data are empty, negative or not finite, or loc is not 0.
         TypeError
             For any other keyword, and for starting values, which this fit does not need.
         """
@@ -159,10 +159,10 @@ class KDistribution(GeneralizedK):
 def _held(
     shapes: str, starts: tuple[Any, ...], options: dict[str, Any]
 ) -> tuple[dict[str, float], bool]:
-    """Read the options of a fit as scipy names them.
+    """Read the options of a fit under scipy's names.
 
-    Returns the parameters that are held, by the names ``f0``, ``f1`` and ``fscale``, and whether
-    moments are asked for.
+    Returns the fixed parameters, under the names ``f0``, ``f1`` and ``fscale``, and whether a fit
+    by moments is requested.
     """
     if starts:
         raise TypeError("fit() takes no starting values: hold a shape with f0=, f1= or fscale=")
@@ -193,7 +193,7 @@ def _constrained(
     start: tuple[float, ...],
     scale: float,
 ) -> tuple[float, ...]:
-    """Fit what is not held by scipy's own search, from the free fit."""
+    """Fit the parameters that are not fixed by scipy's own search, starting from the free fit."""
     if len(held) == len(start) + 1:
         raise ValueError("all parameters are held: there is nothing to fit")
     found = stats.rv_continuous.fit(law, np.asarray(data), *start, scale=scale, floc=0.0, **held)

@@ -5,33 +5,33 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-# Pixels a side of the tiles that are updated or, where nothing near them has changed, left alone.
+# Side in pixels of the tiles that are updated or, where nothing near them has changed, skipped.
 TILE = 8
-# Change of a share that keeps a tile and its neighbours in play.
+# Change of a share above which a tile and its neighbours are updated again.
 STILL = 1e-2
-# Share from which a class is beyond doubt.
+# Share above which a class is taken as certain.
 SURE = 0.999
-# Nats below the likeliest class at which a share is as good as none.
+# Nats relative to the likeliest class below which a share is negligible.
 DEEPEST = np.float32(-16.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def table_sums(logs, table, low, step, weight, result, seen):  # type: ignore[no-untyped-def]
-    """Add to each class's log likelihood what its table gives, linear between entries.
+    """Add each class's tabulated log density to its log likelihood, linear between entries.
 
     Parameters
     ----------
     logs : ndarray (rows, columns)
         Log amplitudes; not finite where there is none.
     table : ndarray (classes, entries)
-        Log densities at `low`, `low + step`, ...; the first and last hold beyond the ends.
+        Log densities at `low`, `low + step`, ...; constant beyond the ends.
     low, step : float
     weight : float
-        Of each.
+        Factor of each log density.
     result : ndarray (classes, rows, columns)
-        Added to.
+        Added to in place.
     seen : ndarray of bool (rows, columns)
-        Set where there is one.
+        Set to True where there is an amplitude.
     """
     last = table.shape[1] - 1
     for r in range(logs.shape[0]):
@@ -49,7 +49,7 @@ def table_sums(logs, table, low, step, weight, result, seen):  # type: ignore[no
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def window_sums(level, width, result):  # type: ignore[no-untyped-def]
-    """Sum each class over square windows of odd width, those at the edges cut off."""
+    """Sum each class over square windows of odd width, cropped at the edges."""
     classes, rows, columns = level.shape
     sums = np.empty((rows, columns))
     for k in range(classes):
@@ -59,7 +59,7 @@ def window_sums(level, width, result):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def window_means(values, there, width, result):  # type: ignore[no-untyped-def]
-    """Average each class over square windows of odd width, of pixels that are there and for them.
+    """Average each class over square windows of odd width, from and at marked pixels only.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def window_means(values, there, width, result):  # type: ignore[no-untyped-def]
     there : ndarray of bool (rows, columns)
     width : int
     result : ndarray (classes, rows, columns)
-        Changed where there.
+        Overwritten where `there`.
     """
     classes, rows, columns = values.shape
     box = (0, rows, 0, columns)
@@ -87,7 +87,7 @@ def window_means(values, there, width, result):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def softmax(level, seen):  # type: ignore[no-untyped-def]
-    """Turn log weights of classes into their shares, in place; 0 where nothing is seen.
+    """Convert log weights of classes to their shares, in place; 0 where nothing is seen.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def softmax(level, seen):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def mean_field(level, seen, share, window, strength, rounds):  # type: ignore[no-untyped-def]
-    """Update shares of classes until nothing moves (Potts field, mean-field equations).
+    """Update shares of classes until they converge (Potts field, mean-field equations).
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ def mean_field(level, seen, share, window, strength, rounds):  # type: ignore[no
     share : ndarray of float32 (classes, rows, columns)
         First guess, 0 where not seen; changed in place.
     window : int
-        Pixels a side of a neighbourhood, odd.
+        Side of a neighbourhood in pixels, odd.
     strength : float
         Nats where all neighbours agree.
     rounds : int
-        At most.
+        Maximum number of iterations.
     """
     rows, columns = seen.shape
     down, across = (rows + TILE - 1) // TILE, (columns + TILE - 1) // TILE
@@ -180,7 +180,7 @@ def likeliest(share, seen):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _runs(active):  # type: ignore[no-untyped-def]
-    """Rows, firsts and ends of stretches of active tiles."""
+    """Row, start and end of each run of active tiles."""
     runs = [(0, 0, 0)]
     for i in range(active.shape[0]):
         first = 0
@@ -194,13 +194,13 @@ def _runs(active):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _box(i, first, last, rows, columns):  # type: ignore[no-untyped-def]
-    """First and last rows and columns of tiles beside each other."""
+    """Bounding rows and columns, in pixels, of a run of tiles."""
     return i * TILE, min((i + 1) * TILE, rows), first * TILE, min(last * TILE, columns)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _spread(moved):  # type: ignore[no-untyped-def]
-    """Tiles that have moved or lie beside one that has."""
+    """Mark tiles that have changed or lie beside one that has."""
     active = np.empty_like(moved)
     for i in range(moved.shape[0]):
         for j in range(moved.shape[1]):
@@ -210,7 +210,7 @@ def _spread(moved):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _doubtful(share, seen):  # type: ignore[no-untyped-def]
-    """Whether a tile is not all one class beyond doubt."""
+    """Whether a tile is not certainly all of one class."""
     _, rows, columns = share.shape
     sure = np.int64(-1)
     for r in range(rows):
@@ -225,9 +225,9 @@ def _doubtful(share, seen):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _update(level, seen, old, share, box, half, strength, moved):  # type: ignore[no-untyped-def]
-    """Update tiles' shares from the old ones around them; mark those that have moved.
+    """Update tiles' shares from the old ones around them; mark those that have changed.
 
-    In rows of single precision, which the compiler does many at a time.
+    Works on rows in single precision, which the compiler vectorises.
     """
     top, bottom, left, right = box
     classes, rows, columns = level.shape
@@ -268,7 +268,7 @@ def _update(level, seen, old, share, box, half, strength, moved):  # type: ignor
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _lowered(down, old, r, later, half, low):  # type: ignore[no-untyped-def]
-    """Move sums of columns on to the next row: one row more, and one less but for the first."""
+    """Move column sums on to the next row: add a row, and drop one except on the first call."""
     high = low + down.size
     if r + half < len(old):
         _add(down, old[r + half, low:high], np.float32(1.0))
@@ -286,14 +286,14 @@ def _widened(down, width, sums):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add(sums, values, sign):  # type: ignore[no-untyped-def]
-    """Add a row to another, or take it off."""
+    """Add a row to another, or subtract it."""
     for c in range(sums.size):
         sums[c] += sign * values[c]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _raised(sums, level, strength, total, top):  # type: ignore[no-untyped-def]
-    """Turn sums of one class's shares into logs of its own share; keep the highest."""
+    """Convert sums of one class's shares to its log weight; keep the highest."""
     for c in range(sums.size):
         value = level[c] + strength * sums[c] / total[c]
         sums[c] = value
@@ -302,9 +302,9 @@ def _raised(sums, level, strength, total, top):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _exponentials(logs, top, mass):  # type: ignore[no-untyped-def]
-    """Turn logs into shares up to their sum, which is kept.
+    """Convert log weights to unnormalised shares, and accumulate their sum.
 
-    exp(x) as (1 + x / 1024)^1024: to 0.1 % where it counts.
+    exp(x) is computed as (1 + x / 1024)^1024: accurate to 0.1 % where it matters.
     """
     for c in range(logs.size):
         x = logs[c] - top[c]
@@ -318,7 +318,7 @@ def _exponentials(logs, top, mass):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _settled(values, mass, seen, old, share, change):  # type: ignore[no-untyped-def]
-    """Write shares of one class, 0 where nothing is seen, and how far they have moved."""
+    """Write shares of one class, 0 where nothing is seen, and their largest change."""
     for c in range(values.size):
         value = values[c] / mass[c] if seen[c] else np.float32(0.0)
         away = abs(value - old[c])

@@ -1,8 +1,8 @@
 """Fits of amplitude laws by maximum likelihood, and the choice among them.
 
-Takes raw or weighted samples (gathered in narrow bins of log amplitude, each at
-its own mean) or histograms, whose bins are integrated over: a density at bin centres is not what an
-8-bit image holds (docs/science.md, fitting).
+Takes raw or weighted samples (gathered in narrow bins of log amplitude, each at its own mean) or
+histograms, over whose bins the density is integrated: an 8-bit image holds probabilities of bins,
+not densities at their centres (docs/science.md, fitting).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 Family = Literal["rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k"]
 
 FAMILIES: tuple[Family, ...] = ("rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k")
-# Free coordinates (log shape, log(1 + kappa^2), log mean square) of each.
+# Which coordinates (log shape, log(1 + kappa^2), log mean square) are free in each family.
 FREE = {
     "rayleigh": (False, False, True),
     "k": (True, False, True),
@@ -34,22 +34,23 @@ FREE = {
 }
 # Width of the bins of log amplitude that samples are gathered in.
 BIN = 0.05
-# Log amplitude over the root mean square below which they are so much wider, and the lowest.
+# Log amplitude relative to the root mean square below which bins are wider, the factor by which
+# they are wider, and the lowest log amplitude.
 TAIL, WIDER, LOWEST = -2.5, 5.0, -40.0
-# Samples that are no more than this share of the root mean square count as this.
+# Smaller samples are raised to this share of the root mean square.
 LEAST = 1e-9
 # Points of the Gauss-Legendre rule within a bin of a histogram.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
-# Expected samples of a bin from which it enters the test of fit; a law is rejected below this
-# probability.
+# Expected samples above which a bin enters the goodness-of-fit test; p-value below which a law is
+# rejected.
 FEW, REJECTED = 8.0, 0.01
-# Nats by which a law of one more parameter must at least be better.
+# Nats of log likelihood within which laws of one group count as equally good.
 WORTH = 2.0
 FIRST_ROUNDS = 6
 
 
 class Bins(NamedTuple):
-    """Samples, gathered: points (of no width) and bins.
+    """Gathered samples: points (of zero width) or bins.
 
     Attributes
     ----------
@@ -57,7 +58,7 @@ class Bins(NamedTuple):
         Edges; equal for points, infinite where censored.
     centre : ndarray (n,)
     samples : ndarray (n,)
-        How many, or their weight.
+        Number of samples, or their weight.
     """
 
     low: FloatArray
@@ -74,9 +75,9 @@ class Law:
     ----------
     family : str
     shape : float
-        nu of K and generalised K, c of Weibull, s of the lognormal; NaN of Rayleigh and Rice.
+        nu of K and generalised K, c of Weibull, s of the lognormal; NaN for Rayleigh and Rice.
     kappa : float
-        delta / a of Rice and generalised K; 0 of others.
+        delta / a of Rice and generalised K; 0 for others.
     scale : float
         a, or the scale of scipy's Weibull and lognormal.
     errors : tuple of float
@@ -88,9 +89,9 @@ class Law:
     samples : float
         Effective number of samples.
     divergence : float
-        Mean log likelihood, nats a sample, that the histogram itself has beyond the law.
+        Kullback-Leibler divergence of the histogram from the law, nats per sample.
     p_value : float
-        Of so large a divergence by chance.
+        Probability of so large a divergence by chance.
     """
 
     family: Family
@@ -106,7 +107,7 @@ class Law:
 
     @property
     def nu(self) -> float:
-        """Texture's shape: infinite of Rayleigh and Rice."""
+        """Shape of the texture: infinite except for K and generalised K."""
         return self.shape if self.family in ("k", "generalized_k") else float("inf")
 
     @property
@@ -116,7 +117,7 @@ class Law:
         return np.array([shape, np.log1p(self.kappa**2), np.log(self.mean_square)])
 
     def log_density(self, x: ArrayLike) -> FloatArray:
-        """Log density at amplitudes above 0, fast.
+        """Log density at amplitudes above 0, by the fast kernel.
 
         Parameters
         ----------
@@ -135,9 +136,9 @@ class Law:
 
 
 def _places(x: FloatArray) -> FloatArray:
-    """Bin numbers (whole at edges) of amplitudes over the root mean square.
+    """Bin numbers of amplitudes in units of the root mean square.
 
-    In the low tail, where laws are powers, bins are wider.
+    Bins are wider in the low tail, where laws are power laws.
     """
     y = np.log(x)
     return np.floor((np.where(y > TAIL, y, TAIL + (y - TAIL) / WIDER) - LOWEST) / BIN)
@@ -184,7 +185,7 @@ def gathered(data: ArrayLike, weights: ArrayLike | None = None) -> Bins:
 
 
 def histogram(edges: ArrayLike, counts: ArrayLike) -> Bins:
-    """Take a histogram as it is.
+    """Use a histogram's bins unchanged.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ def histogram(edges: ArrayLike, counts: ArrayLike) -> Bins:
 
 
 def grey_histogram(values: ArrayLike, saturated: int | None = 255) -> Bins:
-    """Histogram of rounded grey values; 0 is below one half, the largest and all above are one.
+    """Histogram of rounded grey values; 0 means below one half, `saturated` that and all above.
 
     Parameters
     ----------
@@ -245,12 +246,12 @@ def fit(
     Parameters
     ----------
     data : array_like or Bins
-        Amplitudes, or what :func:`histogram` or :func:`grey_histogram` made of them.
+        Amplitudes, or the result of :func:`histogram` or :func:`grey_histogram`.
     family : str
     weights : array_like, optional
     samples : float, optional
-        Effective number of samples (:func:`effective_samples`), by which errors are larger than
-        those of independent ones; default all.
+        Effective number of samples (:func:`effective_samples`), which scales the errors; default
+        all.
 
     Returns
     -------
@@ -288,7 +289,7 @@ def fit(
 
 
 def starts_of(bins: Bins, family: Family) -> list[FloatArray]:
-    """Where climbs begin: by moments, and for generalised K at both ends of its ridge."""
+    """Return starting points, from moments; for generalised K also at both ends of its ridge."""
     share = bins.samples / bins.samples.sum()
     largest = float(bins.centre.max())
     rms = largest * float(np.sqrt(share @ (bins.centre / largest) ** 2))
@@ -301,13 +302,13 @@ def starts_of(bins: Bins, family: Family) -> list[FloatArray]:
         return [np.array([np.log(1.28 / max(spread, 1e-3)), 0.0, power])]
     if family == "lognormal":
         return [np.array([np.log(max(spread, 1e-3)), 0.0, power])]
-    # of a Rice law E[x^4] / E[x^2]^2 = 2 - (kappa^2 / (1 + kappa^2))^2
+    # for a Rice law E[x^4] / E[x^2]^2 = 2 - (kappa^2 / (1 + kappa^2))^2
     steady = np.sqrt(np.clip(2 - ratio, 0.0, 0.999))
     rice = -np.log1p(-steady)
     if family in ("rayleigh", "k", "rice"):
         return [np.array([nu, max(rice, 0.1), power])]
     heavy = np.array([max(nu, np.log(0.2)), 0.05, power])
-    # between them the likelihood has saddles, at K laws that look alike
+    # between them the likelihood has saddles, at similar K laws
     middle = np.array([min(nu, np.log(8.0)), 0.7, power])
     return [heavy, middle, np.array([np.log(3.0), max(rice, 0.7), power])]
 
@@ -327,10 +328,10 @@ def _errors(
 def divergence_of(
     kind: int, u: FloatArray, bins: Bins, share: float, parameters: int
 ) -> tuple[float, float]:
-    """Deviance of a histogram a sample, in nats, and its p-value (chi-squared)."""
+    """Deviance of a histogram per sample, in nats, and its p-value (chi-squared)."""
     if (bins.high > bins.low).all():
         low, high, count = bins.low, bins.high, bins.samples
-    else:  # points: bins of even shares of the samples
+    else:  # points: bins with equal shares of the samples
         edges = _even_edges(bins)
         low, high = edges[:-1], edges[1:]
         count = np.histogram(bins.centre, edges, weights=bins.samples)[0]
@@ -352,7 +353,7 @@ TESTED_BINS = 24
 
 
 def _even_edges(bins: Bins) -> FloatArray:
-    """Edges between points, from 0 to infinity, with nearly even shares of them."""
+    """Edges between points, from 0 to infinity, with nearly equal shares of the samples."""
     below = np.cumsum(bins.samples) / bins.samples.sum()
     cut = np.unique(np.searchsorted(below, np.arange(1, TESTED_BINS) / TESTED_BINS))
     cut = cut[cut < bins.centre.size - 1]
@@ -364,13 +365,13 @@ def _even_edges(bins: Bins) -> FloatArray:
 
 
 class Choice(NamedTuple):
-    """A law that the data do not reject, and all that were tried.
+    """A law that the data do not reject, and all laws tried.
 
     Attributes
     ----------
     law : Law
     tried : tuple of Law
-        In the order tried; no more than were needed.
+        In the order tried, up to the group that was needed.
     """
 
     law: Law
@@ -383,7 +384,7 @@ def choose(
     weights: ArrayLike | None = None,
     samples: float | None = None,
 ) -> Choice:
-    """Fit the simplest law that the data do not reject: Rayleigh, one of two parameters, GK.
+    """Fit the simplest law that the data do not reject: Rayleigh, a two-parameter law, or GK.
 
     Parameters
     ----------
@@ -395,7 +396,7 @@ def choose(
     Returns
     -------
     Choice
-        Where all are rejected, the one with the best information criterion (Schwarz).
+        Where all are rejected, the law with the best Bayesian information criterion (Schwarz).
 
     Raises
     ------
@@ -414,7 +415,7 @@ def choose(
 
 
 def _first_best(laws: Sequence[Law]) -> Law:
-    """Return the earliest that is as good as the best, nearly."""
+    """Return the first law that is nearly as good as the best."""
     share = laws[0].samples
     top = max(law.log_likelihood for law in laws)
     total = max(law.samples for law in laws)
@@ -427,7 +428,7 @@ def _criterion(law: Law) -> float:
 
 
 def shares(law: Law, edges: FloatArray) -> FloatArray:
-    """Probabilities of bins of amplitude, and of all above the last.
+    """Probabilities of bins of amplitude, and of all amplitudes above the last edge.
 
     Parameters
     ----------
@@ -440,7 +441,7 @@ def shares(law: Law, edges: FloatArray) -> FloatArray:
     ndarray (n,)
         Their sum is 1.
     """
-    # up to 100 and down to 1e-7 of the root mean square there is all that counts
+    # nearly all probability lies between 1e-7 and 100 times the root mean square
     logs = np.linspace(-16, 4.6, 4000) + 0.5 * np.log(law.mean_square)
     weight = np.exp(law.log_density(np.exp(logs)) + logs)
     below = np.interp(np.log(edges[1:]), logs, np.cumsum(weight) / weight.sum())

@@ -1,6 +1,6 @@
-"""Looks at a survey's floor, read in tiles: they may be larger than memory.
+"""Looks at a survey's floor, read in tiles because they may be larger than memory.
 
-In memory are statistics of blocks alone, one of 256 pixels.
+Only statistics of blocks are held in memory, one block for 256 pixels.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from sasmap.sediments.trends import (
 FloatArray = NDArray[np.float64]
 Part = tuple[slice, slice]
 
-# Pixels a side of the tiles that are read at once: whole blocks.
+# Side in pixels of the tiles that are read at once: whole blocks.
 TILE = 64 * BLOCK
-# Pixels that tell a class's law: evenly thinned, of so many blocks at most.
+# Pixels from which a class's law is fitted (evenly thinned), and the maximum number of blocks that
+# they come from.
 SAMPLES, SAMPLED_BLOCKS = 60_000, 512
-# Blocks of a look whose pixels are kept for the next law: 25 MB.
+# Blocks of a look whose pixels are cached for the next fit: 25 MB.
 KEPT = 8192
 
 
 @dataclass(frozen=True)
 class Flat:
-    """A look's amplitude less its gain and trend; slices are read.
+    """A look's amplitude with gain and trend removed; read in slices.
 
     Attributes
     ----------
@@ -46,13 +47,13 @@ class Flat:
     trend : ndarray (3,)
         Log gain, slope and bend.
     centre : float
-        Log of the cotangent that they are about.
+        Log cotangent about which slope and bend are taken.
     bands : Bands or None
         Gain by range, beyond the trend.
     number : int
-        Of the look in those.
+        Index of the look in `bands`.
     kept : dict
-        What has been read of single blocks; shared among several gains of one look.
+        Cache of single blocks that have been read; shared among several gains of one look.
     """
 
     look: AmplitudeGrid
@@ -114,13 +115,13 @@ class Flat:
 def flat_looks(
     looks: Sequence[AmplitudeGrid], trends: FloatArray, centre: float, bands: Bands | None
 ) -> list[Flat]:
-    """Take gain, trend and bands, if there are any, off looks."""
+    """Remove gain, trend and bands, if there are any, from looks."""
     pairs = enumerate(zip(looks, trends, strict=True))
     return [Flat(look, trend, centre, bands, k) for k, (look, trend) in pairs]
 
 
 def tiles(shape: tuple[int, ...], side: int = TILE) -> list[Part]:
-    """Tiles of a raster, row by row."""
+    """List the tiles of a raster, row by row."""
     rows, columns = shape[:2]
     return [
         (slice(r, min(r + side, rows)), slice(c, min(c + side, columns)))
@@ -129,7 +130,7 @@ def tiles(shape: tuple[int, ...], side: int = TILE) -> list[Part]:
 
 
 def blocks_in(part: Part) -> Part:
-    """Whole blocks of a tile that begins at one."""
+    """Whole blocks of a tile that starts at a block's edge."""
     return (
         slice(part[0].start // BLOCK, part[0].stop // BLOCK),
         slice(part[1].start // BLOCK, part[1].stop // BLOCK),
@@ -137,7 +138,7 @@ def blocks_in(part: Part) -> Part:
 
 
 def on_pixels(blocks: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Lay blocks on the pixels that they are of; beyond the last whole block, those of the last."""
+    """Expand blocks to their pixels; pixels beyond the last whole block take its value."""
     if not blocks.size:
         return np.zeros(shape, blocks.dtype)
     index = [
@@ -147,7 +148,7 @@ def on_pixels(blocks: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def blocks_shown(mask: Any, workers: Workers = 1) -> NDArray[np.bool_]:
-    """Blocks that are mostly marked (above 0) in a raster whose slices are read."""
+    """Find blocks that are mostly marked (above 0) in a raster that is read in slices."""
     result = np.zeros([n // BLOCK for n in mask.shape], bool)
     every = tiles(mask.shape)
 
@@ -170,11 +171,11 @@ def gather(
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice; slices are read.
+        On one lattice; read in slices.
     centre : float or None
-        Log cotangent that the blocks' places are about; their mean where None.
+        Log cotangent subtracted from the blocks' places; their mean where None.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
 
     Returns
     -------
@@ -209,7 +210,7 @@ def gather(
 
 
 def pixels_of(flat: Sequence[Flat], blocks: NDArray[np.bool_]) -> FloatArray:
-    """Amplitudes of the pixels of some blocks, all looks together; thinned where there are many.
+    """Read the amplitudes of pixels in some blocks of all looks; thinned where there are many.
 
     Parameters
     ----------
@@ -222,8 +223,8 @@ def pixels_of(flat: Sequence[Flat], blocks: NDArray[np.bool_]) -> FloatArray:
     """
     where = np.flatnonzero(blocks)
     if where.size > SAMPLED_BLOCKS:
-        # at random, since an even step may meet the same columns over and over; the same ones first
-        # in every draw, so that most have been read before
+        # at random, since an even step may hit the same columns repeatedly; in the same order in
+        # every draw, so that most blocks are in the cache
         order = _order(blocks.size)[where]
         where = np.sort(where[np.argpartition(order, SAMPLED_BLOCKS)[:SAMPLED_BLOCKS]])
     place = np.unravel_index(where, blocks.shape)
@@ -237,7 +238,7 @@ def _order(blocks: int) -> NDArray[np.int64]:
 
 
 def thinned(values: FloatArray) -> FloatArray:
-    """Evenly thin what is known of some amplitudes."""
+    """Thin the known amplitudes evenly."""
     values = values[np.isfinite(values) & (values > 0)]
     return values[:: max(values.size // SAMPLES, 1)]
 
@@ -253,16 +254,16 @@ def _pixels(row: int, column: int) -> Part:
 def chosen_tiles(
     shape: tuple[int, ...], side: int, most: int, labels: NDArray[np.int64]
 ) -> list[Part]:
-    """Tiles that speak for a raster: all, or so many at random, with some of each class.
+    """Choose tiles that represent a raster: all, or some at random, with some of each class.
 
     Parameters
     ----------
     shape : tuple of int
         Pixels.
     side : int
-        Pixels of a tile; whole blocks.
+        Side of a tile in pixels; whole blocks.
     most : int
-        Tiles.
+        Maximum number of tiles.
     labels : ndarray of int (block rows, block columns)
         Classes, -1 for none.
 
@@ -281,7 +282,7 @@ def chosen_tiles(
     order = np.random.default_rng(0).permutation(len(every))
     share = max(most // (2 * max(counts, 1)), 1)
     kept: dict[int, None] = {}
-    for k in range(counts):  # those that hold most of a class first, but not all from one place
+    for k in range(counts):  # tiles that hold most of a class first, but not all from one place
         many = held[order, k + 1] >= 0.5 * held[:, k + 1].max()
         kept |= dict.fromkeys(int(i) for i in order[many][:share])
     kept |= dict.fromkeys(int(i) for i in order)
@@ -289,7 +290,7 @@ def chosen_tiles(
 
 
 def around(part: Part, margin: int, shape: tuple[int, ...]) -> tuple[Part, Part]:
-    """Widen a part by a margin, as far as the raster goes; and the part's place in that."""
+    """Widen a part by a margin, within the raster; also return the part's place in the result."""
     wide = [
         slice(max(s.start - margin, 0), min(s.stop + margin, n))
         for s, n in zip(part, shape, strict=False)
@@ -299,7 +300,7 @@ def around(part: Part, margin: int, shape: tuple[int, ...]) -> tuple[Part, Part]
 
 
 def marked_values(flat: Sequence[Flat], marks: Any, count: int) -> Iterator[tuple[FloatArray, int]]:
-    """Yield the amplitudes of each class's marked pixels, thinned, and how many are known."""
+    """Yield the amplitudes of each class's marked pixels, thinned, and the number known."""
     values: list[list[FloatArray]] = [[] for _ in range(count)]
     for part in tiles(flat[0].shape):
         here = np.asarray(marks[part])

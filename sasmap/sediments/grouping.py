@@ -1,4 +1,4 @@
-"""Groups of blocks: of alike amplitudes, and of alike texture among those."""
+"""Groups of blocks with similar amplitudes, and among those with similar texture."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 MOST_CLASSES = 8
-# Share of a class's blocks that have none of another class beside them, at least.
+# Minimum share of a class's blocks without another class beside them.
 CORE = 0.12
-# Blocks a side over which rippled floor is judged: 112 pixels, one to five wavelengths.
+# Side in blocks of the window over which rippled floor is judged: 112 pixels, one to five
+# wavelengths.
 WAVES = 7
-# Blocks a side at the core of a textured group: texture is described over 48 pixels, of averages
-# and differences that reach farther, so that the rim between two beds is some four blocks wide. Of
-# scenes of many small beds, 7 loses some.
+# Side in blocks of the window at the core of a textured group: texture is described over 48 pixels,
+# of averages and differences that reach farther, so that the rim between two beds is about four
+# blocks wide. In scenes of many small beds, 7 loses some of them.
 CORE_WIDTH = 5
-# Scatter that textures of one bed have beyond their sampling (log variances, mean amplitude).
+# Scatter of texture within one bed beyond sampling noise (log variances, mean log amplitude).
 SCATTER = 0.05
-# Bhattacharyya distance (of Gaussians, nats) by which the textures of two beds must differ: 4
-# standard deviations where their spread is the same.
+# Minimum Bhattacharyya distance (of Gaussians, nats) between the textures of two beds: 4 standard
+# deviations where their spread is the same.
 APART = 2.0
-# Blocks from which groups are found, at most; gain in the log likelihood of all at which a fit
-# ends; further groups that are tried after the best number; and rounds at most. Both first guesses
-# have them: the one that is ahead after a dozen does not always end ahead.
+# Maximum number of blocks (about) from which groups are found; gain in total log likelihood at
+# which a fit stops; number of further groups tried after the best number; maximum iterations. Both
+# initial guesses are iterated fully: the better one after a dozen is not always the better at last.
 FITTED, ENOUGH_GAIN, PATIENCE = 2000, 1e-2, 2
 ROUNDS = 100
-# Blocks that can tell two textures of one class, and share of them that the rarer has.
+# Minimum number of blocks of a class to be tested for two textures, and minimum share of the rarer.
 ENOUGH, RARE = 60, 0.04
 
 
@@ -46,16 +47,16 @@ def grouped(
     ----------
     points : ndarray (n, size)
     scatter : sequence of float (size,)
-        Standard deviations that each group has at least.
+        Minimum standard deviations of each group.
     least : int
-        Groups.
+        Minimum number of groups.
     most : int, optional
-        Default as many as are tried.
+        Maximum number of groups; default as many as are tried.
 
     Returns
     -------
     ndarray of int (n,)
-        From 0; no number is left out.
+        From 0, without gaps.
     """
     floor = np.array(scatter) ** 2
     every, size = points, points.shape[1]
@@ -65,7 +66,7 @@ def grouped(
     for n in range(least, (most or max(MOST_CLASSES, least + 2)) + 1):
         if n > least and (n * 8 > len(points) or n > best_count + PATIENCE):
             break
-        # of one group both are the same
+        # for one group both initial guesses are the same
         for first in (_seeded(points, n), _sliced(points, n))[: min(n, 2)]:
             mixture, _, level = expectation_maximisation(
                 points, first, floor, ROUNDS, ENOUGH_GAIN / len(points)
@@ -75,7 +76,7 @@ def grouped(
                 best, best_score, best_count = mixture, score, n
     assert best is not None
     nearest = np.argmax(log_densities(every, best), axis=1)
-    return np.asarray(np.unique(nearest, return_inverse=True)[1])  # one may be of no point
+    return np.asarray(np.unique(nearest, return_inverse=True)[1])  # a group may have no points
 
 
 def pruned(
@@ -85,21 +86,21 @@ def pruned(
     across: int = 3,
     rippled: NDArray[np.bool_] | None = None,
 ) -> Labels:
-    """Leave out groups that lie between others alone: blocks that two sediments share.
+    """Drop groups that lie only between others: blocks that contain two sediments.
 
     Parameters
     ----------
     labels : ndarray of int (block rows, block columns)
         -1 for none.
     least : int
-        Groups that are left.
+        Minimum number of groups that remain.
     judged : ndarray of bool (block rows, block columns), optional
-        Blocks whose neighbours were all looked at. Default all.
+        Blocks whose neighbours were all examined. Default all.
     across : int
-        Blocks a side that must be of one group at a group's core; odd.
+        Side in blocks of the window that must be of one group at a group's core; odd.
     rippled : ndarray of bool (block rows, block columns), optional
-        Blocks that are judged with those around them (``WAVES``): the core of a group of such is
-        wider, and what lies beyond the survey is not of it.
+        Blocks that are judged with those around them (``WAVES``): the core of a group of mostly
+        such blocks is wider, and the area beyond the survey does not count towards it.
 
     Returns
     -------
@@ -111,7 +112,7 @@ def pruned(
         mine = labels == k
         bed = rippled is not None and bool(rippled[mine].mean() > 0.5)
         width = WAVES if bed else across
-        # neighbours that are uneven tell nothing
+        # uneven neighbours (-1) are no evidence of another group
         whole = mine | (labels < 0)
         inside = binary_erosion(whole, np.ones((width, width)), border_value=int(not bed))
         inside &= mine
@@ -127,10 +128,10 @@ def pruned(
 
 
 def _seeded(points: FloatArray, n: int) -> FloatArray:
-    """First guess of which of n groups each point belongs to: the nearest of spread-out seeds."""
+    """Assign points to n groups as a first guess: to the nearest of spread-out seeds."""
     z = points / (points.std(axis=0) + 1e-9)
     seeds = [int(np.argmin(((z - np.median(z, axis=0)) ** 2).sum(axis=1)))]
-    for _ in range(n - 1):  # the point that is farthest from all, but for the last few per cent
+    for _ in range(n - 1):  # the point farthest from all seeds, except for the last 2 %
         away = np.min([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
         seeds.append(int(np.argsort(away)[int(0.98 * (len(z) - 1))]))
     near = np.argmin([((z - z[s]) ** 2).sum(axis=1) for s in seeds], axis=0)
@@ -138,7 +139,7 @@ def _seeded(points: FloatArray, n: int) -> FloatArray:
 
 
 def _sliced(points: FloatArray, n: int) -> FloatArray:
-    """First guess of groups: even slices along the direction of the greatest scatter."""
+    """Assign points to groups as a first guess: equal slices along the greatest scatter."""
     z = (points - points.mean(axis=0)) / (points.std(axis=0) + 1e-9)
     along = z @ np.linalg.eigh(z.T @ z)[1][:, -1]
     rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
@@ -163,16 +164,16 @@ def textured_groups(
     labels : ndarray of int (block rows, block columns)
         Groups by amplitude; -1 for none.
     dark : ndarray of bool (block rows, block columns)
-        Blocks of no sediment.
+        Blocks that are not sediment.
     count : int or None
-        Groups; found where None.
+        Number of groups; found from the data where None.
 
     Returns
     -------
     groups : ndarray of int (block rows, block columns)
         -1 for none.
     needed : bool
-        Whether amplitude alone has put unlike textures together.
+        Whether amplitude alone has put different textures in one group.
     """
     judged = binary_erosion(shown, np.ones((CORE_WIDTH, CORE_WIDTH)), border_value=1)
     index = np.nonzero(np.isfinite(described[..., 0]))
@@ -197,9 +198,9 @@ def _mixed(
     k: int,
     judged: NDArray[np.bool_],
 ) -> bool:
-    """Whether a group by amplitude holds two textures, each with a place of its own."""
+    """Whether a group by amplitude holds two textures, each with an area of its own."""
     mine = groups == k
-    # blocks of no group are uneven and tell nothing, but shadow and other groups are near
+    # blocks of no group are uneven and no evidence; shadow and other groups are foreign
     foreign = dark | ((groups >= 0) & ~mine)
     inside = binary_erosion(~foreign, np.ones((CLEAR, CLEAR)), border_value=1) & mine
     inside &= np.isfinite(described[..., 0])
@@ -214,7 +215,7 @@ def _mixed(
 
 
 def _united(points: FloatArray, groups: Labels, least: int, apart: float) -> Labels:
-    """Unite groups that differ by less than so much, the nearest first; `least` are left."""
+    """Merge groups that are less than `apart` from each other, nearest first, down to `least`."""
     _, groups = np.unique(groups, return_inverse=True)
     while groups.max() + 1 > least:
         each = range(int(groups.max()) + 1)

@@ -1,6 +1,6 @@
 """The generalised-K density, in logs, for any arguments: the compiled inner loop.
 
-Texture z ~ Gamma(nu, mean 1); given z the amplitude is Rice with drift z kappa and mean square
+Texture z ~ Gamma(nu, mean 1); given z, the amplitude is Rician with drift z kappa and mean square
 scatter z (G 5), so with scale a = 1
 
     p(x) = 2 x i0e(2 kappa x) C(nu) J,      C(nu) = nu^nu exp(-nu) / Gamma(nu),
@@ -12,7 +12,7 @@ kappa and x are. With z = z0 exp(t) about its saddle z0 the integral is that of
     exp(-alpha (exp(-t) - 1 + t) - beta (exp(t) - 1 - t)),
 
 alpha = x^2 / z0, beta = (nu + kappa^2) z0, over the line (a modified Bessel function), which the
-trapezoidal rule gives to the last digits: its error falls exponentially with the number of points
+trapezoidal rule gives to machine precision: its error falls exponentially with the number of points
 (Trefethen and Weideman 2014, SIAM Review 56).
 """
 
@@ -23,14 +23,15 @@ import math
 import numba
 import numpy as np
 
-# Step of the trapezoidal rule: in widths of the peak, and at most.
+# Step of the trapezoidal rule in widths of the peak, and its maximum.
 STEP_WIDTHS, LONGEST = 0.6, 0.25
-# Exponents below this count for nothing.
+# Terms exp(-x) with x above this are neglected.
 DEEP = 35.0
-# Curvature of the peak below which it is wide.
+# Curvature below which the peak is wide.
 WIDE = 300.0
 LARGE_NU, LARGE_Y = 30.0, 30.0
-# Log density that is nothing, and where integrals begin, over the root mean square.
+# Log density below which it is taken as 0, and smallest lower limit of integrals in units of the
+# root mean square.
 NOTHING, LEAST = -740.0, 1e-20
 
 
@@ -69,7 +70,7 @@ def _side(alpha, beta, step):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _wide_side(alpha, beta, step):  # type: ignore[no-untyped-def]
-    """Compute the same where the peak is wide: powers of exp(step) do not cancel there."""
+    """Compute the same sum where the peak is wide: there powers of exp(step) do not cancel."""
     total, t = 0.0, 0.0
     up, down = math.exp(step), math.exp(-step)
     rise, decline = 1.0, 1.0
@@ -118,7 +119,7 @@ def log_density(x, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
     """Log density at x > 0 with scale 1; `normaliser` is :func:`log_normaliser` of nu."""
     total = nu + kappa * kappa
     root = math.hypot(nu - 1.0, 2.0 * math.sqrt(total) * x)
-    # the positive root of total z^2 - (nu - 1) z = x^2, by the sum that does not cancel
+    # the positive root of total z^2 - (nu - 1) z = x^2, in the form without cancellation
     if nu > 1.0:
         z = 0.5 * (nu - 1.0 + root) / total
         alpha, beta = x * (x / z), 0.5 * (root + (nu - 1.0))
@@ -161,7 +162,7 @@ def log_densities_each(x, nu, kappa):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _edge(inner, outer, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
-    """Between a point where the density counts and one where it does not: where it ceases to."""
+    """Find where the density becomes negligible, between a point inside and one outside."""
     for _ in range(200):
         middle = math.sqrt(inner * outer)
         if log_density(middle, nu, kappa, normaliser) > NOTHING:
@@ -175,7 +176,7 @@ def _edge(inner, outer, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def reach(nu, kappa):  # type: ignore[no-untyped-def]
-    """Where the density of scale 1 begins and ends to be more than nothing."""
+    """Lower and upper limit between which the density of scale 1 is not negligible."""
     normaliser = log_normaliser(nu)
     rms = math.sqrt(1.0 + kappa * kappa * (1.0 + 1.0 / nu))
     best, middle = -np.inf, rms
@@ -193,7 +194,7 @@ def reach(nu, kappa):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def next_place(u, nu, kappa, normaliser):  # type: ignore[no-untyped-def]
-    """How far beyond u the density is smooth enough for one Gauss-Legendre rule."""
+    """Farthest point beyond u up to which one Gauss-Legendre rule integrates the density."""
     step = 1e-6 * u
     level = log_density(u, nu, kappa, normaliser)
     slope = abs(log_density(u + step, nu, kappa, normaliser) - level) / step
@@ -214,7 +215,7 @@ def mass(low, high, nu, kappa, normaliser, nodes, weights):  # type: ignore[no-u
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def cumulate(nu, kappa, nodes, weights):  # type: ignore[no-untyped-def]
-    """Places, mass below and mass above each, of a law of scale 1: three arrays (n,)."""
+    """Points of a law of scale 1, and the mass below and above each: three arrays (n,)."""
     normaliser = log_normaliser(nu)
     low, high = reach(nu, kappa)
     places = [low]
@@ -225,7 +226,7 @@ def cumulate(nu, kappa, nodes, weights):  # type: ignore[no-untyped-def]
     part = np.empty(n)
     for i in range(n):
         place[i] = places[i]
-    # below the first the density is a power
+    # below the first point the density is a power law
     head = log_density(low, nu, kappa, normaliser)
     below[0] = math.exp(head) * low / min(2.0 * nu, 2.0) if head > NOTHING + 40.0 else 0.0
     for i in range(n - 1):

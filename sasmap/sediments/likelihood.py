@@ -1,8 +1,8 @@
 """Compiled maximum likelihood of amplitude laws over points or bins.
 
-All in this file and :mod:`sasmap.sediments.kernel`. Laws of unit mean square are told by two shape
-coordinates, u0 = log nu (or log of Weibull's or the lognormal's shape) and u1 = log(1 + kappa^2),
-and u2, the log of the mean square. kappa = 0 is a regular bound of u1.
+The compiled code is in this file and :mod:`sasmap.sediments.kernel`. A law has two shape
+coordinates, u0 = log nu (or log of the Weibull or lognormal shape) and u1 = log(1 + kappa^2), and
+u2, the log of its mean square. kappa = 0 is a regular bound of u1.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ RAYLEIGH, K, RICE, WEIBULL, LOGNORMAL, GENERALIZED_K = range(6)
 LOWER = np.array([math.log(1e-3), 0.0, -700.0])
 UPPER = np.array([math.log(1e6), math.log1p(1e8), 700.0])
 DELTA = 1e-5
-# Most steps of a climb, and the gain in log likelihood, nats, below which it ends.
+# Maximum number of steps of a maximisation, and gain in log likelihood (nats) below which it stops.
 ROUNDS, ENOUGH = 60, 1e-3
 HALVINGS = 80
 
@@ -40,7 +40,7 @@ def scale_of(family, u):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def log_law(family, x, shape, kappa, normaliser):  # type: ignore[no-untyped-def]
-    """Log density of scale 1 at x > 0."""
+    """Log density at x > 0 for scale 1."""
     if family == RAYLEIGH:
         return math.log(2.0 * x) - x * x
     if family == RICE:
@@ -56,10 +56,10 @@ def log_law(family, x, shape, kappa, normaliser):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill(family, u, low, high, centre, nodes, weights, result):  # type: ignore[no-untyped-def]
-    """Fill the log probability of bins, or the log density of points (bins of no width).
+    """Fill the log probability of bins, or the log density of points (bins of zero width).
 
-    A bin that is wide for its place is halved towards 0; one without end holds the tail, by
-    quadrature out to where nothing is left.
+    A bin that is wide relative to its position is halved towards 0; an infinite bin holds the tail,
+    by quadrature out to where the rest is negligible.
     """
     scale = scale_of(family, u)
     shape, kappa = math.exp(u[0]), math.sqrt(max(math.expm1(u[1]), 0.0))
@@ -74,7 +74,7 @@ def fill(family, u, low, high, centre, nodes, weights, result):  # type: ignore[
             continue
         a, b = low[i] * inverse, high[i] * inverse
         total, right = 0.0, b
-        if np.isinf(b):  # outwards in pieces that grow
+        if np.isinf(b):  # outwards in growing pieces
             left, step = max(a, 1e-3), 0.1 * max(a, 1e-3)
             for _ in range(120):
                 part = _piece(family, left, left + step, shape, kappa, normaliser, nodes, weights)
@@ -91,7 +91,7 @@ def fill(family, u, low, high, centre, nodes, weights, result):  # type: ignore[
             right = left
             if left <= a:
                 break
-        if a <= 0.0:  # what is left goes as a power
+        if a <= 0.0:  # the rest is a power law
             level = log_law(family, right, shape, kappa, normaliser)
             total += math.exp(level) * right / (min(2.0 * shape, 2.0) if gamma else 1.0)
         result[i] = math.log(max(total, 1e-300))
@@ -108,7 +108,7 @@ def _piece(family, low, high, shape, kappa, normaliser, nodes, weights):  # type
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _scores(family, u, free, data, value, scores):  # type: ignore[no-untyped-def]
-    """Fill log probabilities and their slopes along the free coordinates."""
+    """Fill log probabilities and their derivatives along the free coordinates."""
     low, high, centre, _, nodes, weights = data
     fill(family, u, low, high, centre, nodes, weights, value)
     other = np.empty(value.size)
@@ -124,7 +124,7 @@ def _scores(family, u, free, data, value, scores):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _system(family, u, free, data, value, scores):  # type: ignore[no-untyped-def]
-    """Return the log likelihood, its gradient and the information that scores tell."""
+    """Return the log likelihood, its gradient and the information matrix from the scores."""
     _scores(family, u, free, data, value, scores)
     count = data[3]
     weighted = scores * count  # rows of coordinates that are not free stay zero
@@ -133,7 +133,7 @@ def _system(family, u, free, data, value, scores):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _step(u, gradient, information, free, damping):  # type: ignore[no-untyped-def]
-    """Damped scoring step of the coordinates that are free and not held at a bound."""
+    """Damped scoring step in the coordinates that are free and not at a bound."""
     n = free.size
     matrix, right = np.eye(n), np.zeros(n)
     for j in range(n):
@@ -151,9 +151,9 @@ def _step(u, gradient, information, free, damping):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def climb(family, start, free, data, rounds):  # type: ignore[no-untyped-def]
-    """Climb the log likelihood by damped scoring steps within the bounds.
+    """Maximise the log likelihood by damped scoring steps within the bounds.
 
-    Returns coordinates, log likelihood and information (zero of coordinates that are not free).
+    Returns coordinates, log likelihood and information (zero for coordinates that are not free).
     """
     size = data[0].size
     value, scores, trial = np.empty(size), np.zeros((free.size, size)), np.empty(size)

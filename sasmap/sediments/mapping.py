@@ -1,4 +1,4 @@
-"""From a class map to boundaries that can be trusted, and back to a map that agrees with them."""
+"""Refined boundaries of a class map, and the map repainted to agree with them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ Labels = NDArray[np.uint8]
 
 # Pixels beside a contour at which its two classes are looked up, and the shortest line, in pixels.
 BESIDE, SHORTEST = 1.0, 24.0
-# Pixels around a line within which the map is painted anew.
+# Distance in pixels from a line within which the map is repainted.
 PAINTED = 14.0
-# Rows of a map that are traced at once, points around which it is read, nodes of a painted piece.
+# Rows of a map that are traced at once, points around which it is read at once, nodes of a painted
+# piece.
 STRIPE, READ, PIECE = 1024, 512, 16
 
 
@@ -32,7 +33,7 @@ class Line(NamedTuple):
     Attributes
     ----------
     left, right : int
-        Classes (numbers of the map) on either side of the way along the points, rows down.
+        Classes (numbers of the map) on either side along the direction of the points, rows down.
     boundary : Boundary
     """
 
@@ -49,7 +50,7 @@ class RefinedMap(NamedTuple):
 
 
 class Ratio:
-    """Log likelihood of one class over another's, slice by slice."""
+    """Log likelihood ratio of two classes, read slice by slice."""
 
     def __init__(self, first: Any, second: Any) -> None:
         self._first, self._second = first, second
@@ -66,19 +67,19 @@ class Ratio:
 
 
 def refine_map(label: Labels, likelihood: Sequence[Any]) -> RefinedMap:
-    """Trace the boundaries of a class map, refine each, and paint the map to agree with them.
+    """Trace the boundaries of a class map, refine them, and repaint the map to agree with them.
 
     Parameters
     ----------
     label : ndarray of uint8 (rows, columns)
-        Of :func:`sasmap.sediments.segmentation.class_map`.
+        Of :func:`sasmap.sediments.classmap.class_map`.
     likelihood : sequence of array (rows, columns)
-        One a class, of :func:`sasmap.sediments.segmentation.log_likelihoods`; only slices are read.
+        One per class, of :func:`sasmap.sediments.classmap.log_likelihoods`; read in slices.
 
     Returns
     -------
     RefinedMap
-        Without lines where there is one class.
+        Without lines where there is only one class.
     """
     lines = refined(traced(label), likelihood)
     result = label.copy()
@@ -98,9 +99,9 @@ def refined(
     found : iterable of (left, right, points, closed)
         Of :func:`traced`.
     likelihood : sequence of array (rows, columns)
-        One a class; only slices are read, from several threads.
+        One per class; read in slices, from several threads.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
 
     Returns
     -------
@@ -117,7 +118,7 @@ def refined(
 
 
 def traced(label: Any) -> Iterator[tuple[int, int, FloatArray, bool]]:
-    """Trace the lines where two classes meet, each once; they end at junctions and at nodata.
+    """Trace each line where two classes meet once; lines end at junctions and at nodata.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def traced(label: Any) -> Iterator[tuple[int, int, FloatArray, bool]]:
     Yields
     ------
     left, right : int
-        Classes left and right of the way.
+        Classes left and right of the line.
     points : ndarray (n, 2)
         Row and column.
     closed : bool
@@ -156,7 +157,7 @@ def _stripes(label: Any) -> Iterator[slice]:
 
 
 def _classes_of(label: Any) -> list[int]:
-    """Numbers of the classes on a map, rising."""
+    """Numbers of the classes on a map, in ascending order."""
     there = np.zeros(256, bool)
     for part in _stripes(label):
         there |= np.bincount(label[part].ravel(), minlength=256) > 0
@@ -199,12 +200,12 @@ def _joined(pieces: list[FloatArray]) -> list[FloatArray]:
 
 
 def sides(label: Any, points: FloatArray, closed: bool) -> tuple[Labels, Labels]:
-    """Classes left and right of each point of a way.
+    """Classes left and right of each point of a line.
 
     Parameters
     ----------
     label : array of uint8 (rows, columns)
-        Of which what lies around the points is read.
+        Only the area around the points is read.
     points : ndarray (n, 2)
         Row and column.
     closed : bool
@@ -224,7 +225,7 @@ def sides(label: Any, points: FloatArray, closed: bool) -> tuple[Labels, Labels]
 
 
 def _looked_up(label: Any, place: NDArray[np.int64]) -> Labels:
-    """Classes at some places (..., 2); 0 beyond the map."""
+    """Classes at given pixels (..., 2); 0 beyond the map."""
     inside = ((place >= 0) & (place < label.shape)).all(axis=-1)
     result = np.zeros(inside.shape, np.uint8)
     if inside.any():
@@ -236,9 +237,9 @@ def _looked_up(label: Any, place: NDArray[np.int64]) -> Labels:
 
 
 def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[np.int64], bool]]:
-    """Yield indices of stretches of one value above 0, and whether one is the whole closed way.
+    """Yield indices of runs of one value above 0, and whether a run is the whole closed line.
 
-    Single points that a corner of the staircase sends astray do not part a stretch.
+    Single points with a wrong value at a corner of the staircase do not split a run.
     """
     values = values.copy()
     for shift in (1, 2):
@@ -261,7 +262,7 @@ def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[n
 
 
 class _Stretch(NamedTuple):
-    """Some nodes of a line, and the pixels that they may be nearest to."""
+    """Some nodes of a line, and the box of pixels that they may be nearest to."""
 
     line: int
     first: int
@@ -271,16 +272,16 @@ class _Stretch(NamedTuple):
 
 
 def paint(label: Any, lines: Sequence[Line], result: Any, workers: Workers = 1) -> None:
-    """Paint a map to agree with refined lines: near one, each side is its class.
+    """Repaint a map to agree with refined lines: near a line, each side takes its class.
 
     Parameters
     ----------
     label : array of uint8 (rows, columns)
     lines : sequence of Line
     result : array of uint8 (rows, columns)
-        What `label` holds; changed where one of a line's own two classes was.
+        Copy of `label`; changed where it held one of a line's own two classes.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
     """
     stretches = [s for k, line in enumerate(lines) for s in _stretches(k, line, label.shape)]
     across = [normals(line.boundary.points, line.boundary.closed) for line in lines]
@@ -322,7 +323,7 @@ def _paint_stretch(
     across: FloatArray,
     stretch: _Stretch,
 ) -> None:
-    """Paint the pixels of a block whose nearest node is one of a stretch of a line."""
+    """Paint the pixels of a block whose nearest node belongs to a stretch of a line."""
     nodes, closed = line.boundary.points, line.boundary.closed
     low = np.maximum(np.array(stretch.low) - corner, 0)
     high = np.minimum(np.array(stretch.high) - corner, before.shape)
@@ -332,7 +333,7 @@ def _paint_stretch(
         (low + corner).astype(float),
         (int(high[0] - low[0]), int(high[1] - low[1])),
         (nodes[near], across[near], near),
-        # beyond its ends a line says nothing
+        # beyond its ends a line does not constrain the class
         (
             max(stretch.first, 0 if closed else 1),
             min(stretch.last, len(nodes) if closed else len(nodes) - 1),
@@ -346,7 +347,7 @@ def _paint_stretch(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def sides_of(corner, shape, line, piece, reach):  # type: ignore[no-untyped-def]
-    """Side of a line (-1 left, 1 right) that pixels lie on; 0 where another piece is nearer.
+    """Side of a line (-1 left, 1 right) on which pixels lie; 0 where another piece is nearer.
 
     Parameters
     ----------
@@ -359,7 +360,7 @@ def sides_of(corner, shape, line, piece, reach):  # type: ignore[no-untyped-def]
     piece : tuple of int
         First number, and the one after the last.
     reach : float
-        Farthest node, pixels.
+        Maximum distance to a node, pixels.
     """
     nodes, across, numbers = line
     rows, columns = shape

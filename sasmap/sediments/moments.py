@@ -1,6 +1,7 @@
-"""Fits of amplitude laws as Griffiths makes them: even moments, log-moments, histograms (G 3.4).
+"""Fits of amplitude laws by Griffiths' methods: even moments, log-moments, histograms (G 3.4).
 
-For comparison and for starts; :mod:`sasmap.sediments.fitting` is what sasmap uses.
+For comparison, and for ``method="MM"`` of :mod:`sasmap.sediments.distributions`; sasmap itself uses
+:mod:`sasmap.sediments.fitting`.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ def _law_of(bins: Bins, nu: float, kappa: float, square: float) -> Law:
 
 
 class HistogramFit(NamedTuple):
-    """A law fitted to a histogram by least squares, as G does.
+    """A law fitted to a histogram by least squares, as in G.
 
     Attributes
     ----------
@@ -143,10 +144,10 @@ def fit_histogram(
     ----------
     edges : array_like (n + 1,)
     density : array_like (n,)
-        Share of samples over the width of each bin.
+        Share of samples divided by the width of each bin.
     family : str
     offset : bool
-        Whether amplitudes may have a constant added (G's DC offset).
+        Whether a constant added to the amplitudes is fitted (G's DC offset).
 
     Returns
     -------

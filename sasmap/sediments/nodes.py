@@ -1,16 +1,17 @@
 """Boundaries as linked nodes that search along their normals (proposed in G section 4).
 
-Each node may move along the normal of its neighbours; the stretch of image that it answers for, a
-chevron between its neighbours' normals, tells by the sum of log p_L / p_R how likely each place is.
-Neighbours are linked by a Gaussian prior on how far one moves beyond the other, whose width the
-image decides (its evidence, by a forward pass). The best curve of all is found by dynamic
-programming, the curve is laid anew through it, and so on until nothing moves; each node's standard
-deviation is that of its marginal posterior (forward and backward).
+Each node may move along the normal defined by its neighbours. The likelihood of each position is
+the sum of log p_L / p_R over the node's part of the image, a chevron between its neighbours'
+normals. Neighbours are linked by a Gaussian prior on the difference of their moves, whose width is
+chosen by its evidence (a forward pass). The best joint curve is found by dynamic programming, the
+nodes are resampled along it, and this repeats until nothing moves; each node's standard deviation
+is that of its marginal posterior (forward-backward).
 
-Such a boundary is sharp, the image's is not: the point spread of the sonar, pixels, and windows of
-texture mix both sediments. The side whose pixels tell more draws a sharp boundary away from it, by
-up to a pixel. All nodes of a curve are moved to where the mean of log p_L / p_R is half-way between
-that of both sides, in the sense of equal areas, whatever mixes them.
+Such a boundary is sharp, but the one in the image is not: the sonar's point spread, pixels and
+texture windows mix both sediments. A sharp boundary is biased away from the side with the more
+informative pixels, by up to a pixel. All nodes of a curve are therefore moved to where the mean of
+log p_L / p_R is half-way between its values on both sides, in the sense of equal areas, whatever
+the cause of the mixing.
 """
 
 from __future__ import annotations
@@ -27,28 +28,29 @@ from scipy.special import logsumexp, ndtri
 
 FloatArray = NDArray[np.float64]
 
-# Pixels between nodes, how far they search, and steps of the search.
+# Pixels between nodes, distance that they search either way, and step of the search.
 SPACING, REACH, STEP = 4.0, 14.0, 0.5
 # Lines along the normal between a node's neighbours, and pixels between points on them.
 LINES, ALONG = 4, 0.5
-# Widths of the prior tried: pixels by which one node moves beyond the next (standard deviation).
+# Widths of the prior that are tried: standard deviation, in pixels, of the difference of moves of
+# neighbouring nodes.
 WIDTHS = (0.25, 0.5, 1.0, 2.0)
-# Factor of the last width: the image is seen from a curve fitted to it, and asks for too narrow a
-# one (2 sd held 0.77 to 0.94 of the nodes at 1.5 to 2.4 dB, and hold 0.92 to 1.00; boundaries of
-# pipelines/sediments/maps.py).
+# Factor of the last width: since the curve has been fitted to the image, the evidence favours too
+# narrow a prior (2 sd contained 0.77 to 0.94 of the nodes at 1.5 to 2.4 dB without the factor, and
+# contain 0.92 to 1.00 with it; boundaries of pipelines/sediments/maps.py).
 WIDER = 2.0
-# Widths beyond which a neighbour counts for nothing, and the least prior of any leap.
+# Distance in widths beyond which the prior is cut off, and the minimum prior of any jump.
 FAR, TINY = 6.0, 1e-60
 ROUNDS, STILL = 12, 0.3
 # Nodes around which pixels are read at once.
 READ = 128
-# Reaches from its guess at which a curve has gone astray.
+# Distance from the first guess, in units of the reach, at which a curve has gone astray.
 ASTRAY = 1.5
 # Nodes over which the last reference curve is smoothed (standard deviation).
 SMOOTH = 2.0
-# Pixels within which both sediments mix, and to which they are seen alone; prior of the width of
-# the mixture, mean and standard deviation, pixels (0.4 from reading between pixels alone, 0.8 in
-# coherent scenes with a point spread of half a pixel).
+# Distance in pixels within which both sediments mix, and that to which each is unmixed beyond it;
+# prior of the mixing width, mean and standard deviation, pixels (0.4 from interpolation between
+# pixels alone, 0.8 in coherent scenes with a point spread of half a pixel).
 MIXED, ALONE, WIDTH = 5.0, 10.0, (0.6, 0.4)
 
 
@@ -63,7 +65,7 @@ class Boundary(NamedTuple):
         Standard deviation of its position along its normal, pixels.
     closed : bool
     rounds : int
-        Until nothing moved.
+        Number of iterations until nothing moved.
     """
 
     points: FloatArray
@@ -80,16 +82,16 @@ def refine_boundary(
     spacing: float = SPACING,
     reach: float = REACH,
 ) -> Boundary:
-    """Move a boundary to where it is most likely.
+    """Move a boundary to its most likely position.
 
     Parameters
     ----------
     points : ndarray (n, 2)
-        Row and column along a first guess, the left sediment to the left of the way (rows down).
+        Row and column along a first guess, with the left sediment on its left (rows down).
     ratio : array (rows, columns)
-        log p_L / p_R of each pixel; NaN counts for nothing. Of correlated speckle, over the number
-        of pixels that one independent sample makes. Anything with a shape whose slices are arrays
-        will do: only what lies near the line is read.
+        log p_L / p_R of each pixel; NaN is ignored. For correlated speckle, divided by the number
+        of pixels per independent sample. May be any object with a shape whose slices are arrays:
+        only the area near the line is read.
     closed : bool
         Whether the last point is followed by the first.
     spacing, reach : float
@@ -98,7 +100,7 @@ def refine_boundary(
     Returns
     -------
     Boundary
-        Where nothing holds it, the guess itself, known to its reach alone.
+        Where the image does not constrain it, the first guess, with the reach as its uncertainty.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def refine_boundary(
         rounds += 1
         score = _scores(nodes, ratio, places, closed)
         width = _best_width(score)
-        # where nothing tells, nodes stay
+        # where the image is uninformative, nodes stay
         moves = _best_path(score - 1e-3 * (places / reach) ** 2, width, closed)
         shift = gaussian_filter1d(places[moves], 0.7, mode="wrap" if closed else "nearest")
         nodes = nodes + shift[:, None] * normals(nodes, closed)
@@ -120,8 +122,8 @@ def refine_boundary(
         if _astray(nodes, first, reach):
             return Boundary(first, np.full(len(first), reach / np.sqrt(3)), closed, rounds)
         moving = np.abs(places[moves]).max() > STILL + STEP / 2
-    # a curve that has followed the speckle tells nothing about how far it may stray: from a
-    # smooth one the image decides that anew
+    # a curve that has followed the speckle underestimates its own uncertainty: evaluate the
+    # posterior again about a smoothed one
     smooth = resampled(_smoothed(nodes, closed), spacing, closed)
     score = _scores(smooth, ratio, places, closed)
     weight = _marginals(score, WIDER * _best_width(score))
@@ -133,12 +135,12 @@ def refine_boundary(
 
 
 def _offset(score: FloatArray, places: FloatArray) -> tuple[float, float]:
-    """Offset of the true boundary along the normals, and its standard deviation, pixels.
+    """Estimate the offset of the true boundary along the normals and its sd, pixels.
 
     Parameters
     ----------
     score : ndarray (nodes, places)
-        Sum of log p_L / p_R left of each place.
+        Sum of log p_L / p_R to the left of each place.
     places : ndarray (places,)
     """
     at = [int(np.abs(places - end).argmin()) for end in (-ALONE, -MIXED, MIXED, ALONE)]
@@ -149,7 +151,7 @@ def _offset(score: FloatArray, places: FloatArray) -> tuple[float, float]:
     step = float((left - right).sum())
     if not (left.sum() > 0 > right.sum()):
         return 0.0, WIDTH[0]
-    # where the mixture's mean is zero, in widths: a sharp boundary comes to lie there
+    # position, in widths, at which the mixture's mean is zero: a sharp boundary settles there
     sharp = float(ndtri(left.sum() / step))
     expected, sd = -WIDTH[0] * sharp, max(WIDTH[1] * abs(sharp), 1e-6)
     found = float((between - MIXED * (left + right)).sum()) / step
@@ -160,12 +162,12 @@ def _offset(score: FloatArray, places: FloatArray) -> tuple[float, float]:
 
 
 def _astray(nodes: FloatArray, first: FloatArray, reach: float) -> bool:
-    """Whether a curve has left what its first guess could search: there was no such boundary."""
+    """Whether a curve has left the search area of its first guess: there is no such boundary."""
     return bool(cKDTree(first).query(nodes)[0].max() > ASTRAY * reach)
 
 
 def _smoothed(nodes: FloatArray, closed: bool) -> FloatArray:
-    """Smooth a curve; its ends, if it has any, stay."""
+    """Smooth a curve; the ends of an open one stay fixed."""
     if closed:
         return np.asarray(gaussian_filter1d(nodes, SMOOTH, axis=0, mode="wrap"))
     pad = min(int(3 * SMOOTH), len(nodes) - 1)
@@ -176,7 +178,7 @@ def _smoothed(nodes: FloatArray, closed: bool) -> FloatArray:
 
 
 def resampled(points: FloatArray, spacing: float, closed: bool) -> FloatArray:
-    """Lay points at even distances along a line.
+    """Place points at equal distances along a line.
 
     Parameters
     ----------
@@ -205,7 +207,7 @@ def resampled(points: FloatArray, spacing: float, closed: bool) -> FloatArray:
 
 
 def normals(nodes: FloatArray, closed: bool) -> FloatArray:
-    """Return unit vectors (row, column) from left to right of the way, by each node's neighbours.
+    """Return unit vectors (row, column) from left to right of the line, by each node's neighbours.
 
     Parameters
     ----------
@@ -221,12 +223,12 @@ def normals(nodes: FloatArray, closed: bool) -> FloatArray:
     else:
         way = np.gradient(nodes, axis=0)
     length = np.maximum(np.hypot(*way.T), 1e-12)
-    # rows run down: right of a way (dr, dc) lies (dc, -dr)
+    # rows run down: to the right of a direction (dr, dc) lies (dc, -dr)
     return np.asarray(np.stack([way[:, 1], -way[:, 0]], axis=1) / length[:, None])
 
 
 def _scores(nodes: FloatArray, ratio: Any, places: FloatArray, closed: bool) -> FloatArray:
-    """Log likelihood of each place of each node (nodes, places), up to a constant a node."""
+    """Log likelihood of each place of each node (nodes, places), up to a constant per node."""
     normal = normals(nodes, closed)
     reach = float(places[-1]) + 1.0
     ahead, behind = (_neighbours(nodes, step, closed) for step in (1, -1))
@@ -247,12 +249,12 @@ def _scores(nodes: FloatArray, ratio: Any, places: FloatArray, closed: bool) -> 
         _add_scores(
             values, nodes - corner, normal, closed, places, (first, len(total[part])), total
         )
-    area = _lengths(nodes, closed) * ALONG / LINES  # pixels that a point on a line stands for
+    area = _lengths(nodes, closed) * ALONG / LINES  # area in pixels per point on a line
     return np.asarray(total * area[:, None])
 
 
 def _neighbours(values: FloatArray, step: int, closed: bool) -> FloatArray:
-    """Each node's next (1) or previous (-1); at an open end itself."""
+    """Each node's next (1) or previous (-1) node; at an open end the node itself."""
     other = np.roll(values, -step, axis=0)
     if not closed:
         end = -1 if step > 0 else 0
@@ -262,12 +264,12 @@ def _neighbours(values: FloatArray, step: int, closed: bool) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_scores(values, nodes, normal, closed, places, part, total):  # type: ignore[no-untyped-def]
-    """Add up, along lines beside each node of a part, what lies left of each place."""
+    """Sum the values to the left of each place, along lines beside each node of a part."""
     rows, columns = values.shape
     count = len(nodes)
     for i in range(part[0], part[0] + part[1]):
         for line in range(LINES):
-            way = (line + 0.5) / LINES - 0.5  # to the next node, or below 0 to the previous one
+            way = (line + 0.5) / LINES - 0.5  # towards the next node, or if negative the previous
             other = i + 1 if way > 0.0 else i - 1
             if other < 0 or other >= count:
                 other = other % count if closed else i
@@ -287,13 +289,13 @@ def _add_scores(values, nodes, normal, closed, places, part, total):  # type: ig
                 above = values[top, left] + c * (values[top, right] - values[top, left])
                 below = values[low, left] + c * (values[low, right] - values[low, left])
                 value = above + r * (below - above)
-                # of the point itself half lies left
+                # half of the point itself lies to the left
                 total[i, k] += passed + 0.5 * value
                 passed += value
 
 
 def _lengths(nodes: FloatArray, closed: bool) -> FloatArray:
-    """Length of the line that each node answers for."""
+    """Length of the line that belongs to each node."""
     if closed:
         ahead = np.hypot(*(np.roll(nodes, -1, axis=0) - nodes).T)
         return np.asarray(0.5 * (ahead + np.roll(ahead, 1)))
@@ -305,7 +307,7 @@ def _lengths(nodes: FloatArray, closed: bool) -> FloatArray:
 def _link(n: int, width: float) -> FloatArray:
     """Log prior of one node's place given its neighbour's (n, n).
 
-    Normalised over all places, not those searched alone: ends of the search are no attraction.
+    Normalised over all places, not only those searched, so that the ends do not attract nodes.
     """
     place = STEP * np.arange(2 * n - 1) - STEP * (n - 1)
     norm = logsumexp(-0.5 * (place / width) ** 2)
@@ -315,25 +317,25 @@ def _link(n: int, width: float) -> FloatArray:
 
 @cache
 def _near(n: int, width: float) -> FloatArray:
-    """Prior of a neighbour so many places away, from 0 on, as far as it counts."""
+    """Prior by the distance to a neighbour's place, from 0 up to the cut-off."""
     far = min(int(np.ceil(FAR * width / STEP)) + 1, n)
     return np.asarray(np.exp(_link(n, width)[0, :far]))
 
 
 def _best_width(score: FloatArray) -> float:
-    """Width of the prior under which the image is most likely."""
+    """Width of the prior with the highest evidence."""
     mass = _masses(score)
     return max(WIDTHS, key=lambda width: _passed_on(mass, _near(score.shape[1], width))[1])
 
 
 def _masses(score: FloatArray) -> FloatArray:
-    """Likelihood of each place over that of the node's best."""
+    """Likelihood of each place relative to the node's best."""
     return np.asarray(np.exp(score - score.max(axis=1, keepdims=True)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _passed_on(mass, near):  # type: ignore[no-untyped-def]
-    """Share of all paths up to each node that lead to each place, and the log of their mass."""
+    """Forward pass: posterior of each place given the nodes so far, and the log evidence."""
     nodes, places = mass.shape
     result = np.empty_like(mass)
     level = np.log(mass[0].sum())
@@ -347,7 +349,7 @@ def _passed_on(mass, near):  # type: ignore[no-untyped-def]
                     came += near[j] * result[i - 1, k - j]
                 if k + j < places:
                     came += near[j] * result[i - 1, k + j]
-            # no leap is impossible
+            # no jump has probability zero
             result[i, k] = mass[i, k] * (came + TINY)
             total += result[i, k]
         result[i] /= total
@@ -361,14 +363,14 @@ def _marginals(score: FloatArray, width: float) -> FloatArray:
     near = _near(score.shape[1], width)
     ahead, _ = _passed_on(mass, near)
     back, _ = _passed_on(mass[::-1].copy(), near)
-    both = ahead * back[::-1] / np.maximum(mass, TINY)  # each holds the node's own
+    both = ahead * back[::-1] / np.maximum(mass, TINY)  # each contains the node's own likelihood
     return np.asarray(both / both.sum(axis=1, keepdims=True))
 
 
 def _best_path(score: FloatArray, width: float, closed: bool) -> NDArray[np.int64]:
     """Places of highest joint posterior, by dynamic programming.
 
-    A closed line is run around twice, so that its beginning knows its end; the middle is kept.
+    A closed line is repeated three times, so that its ends are linked; the middle copy is kept.
     """
     count = len(score)
     level = np.vstack([score, score, score]) if closed else score

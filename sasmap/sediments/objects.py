@@ -1,10 +1,10 @@
-"""Objects on the floor, which are no sediment: bright, hard-edged, and with a shadow behind them.
+"""Objects on the floor that are not sediment: bright, hard-edged, with a shadow behind them.
 
-Intensity is averaged over small squares and compared with the floor's around it, a median that an
-object does not move. What is much brighter and has next to it, on the far side, what is much
-darker, is an object; what lies between its parts (a wreck's hold, ribs and planks) belongs to it.
-Where such things stand close by the dozen they are what the floor is made of, a boulder field or
-rock, and are left to texture.
+Intensity is averaged over small squares and compared with a median over the surrounding floor,
+which an object does not affect. A much brighter part with a much darker one next to it on the far
+side is an object; the area between its parts (a wreck's hold, ribs and planks) belongs to it. Where
+a dozen such parts stand close together they are the floor itself, a boulder field or rock, and are
+left to texture.
 """
 
 from __future__ import annotations
@@ -30,36 +30,37 @@ from sasmap.sediments.waves import COARSE, coarse
 Mask = NDArray[np.bool_]
 Part = tuple[slice, slice]
 
-# Squares a side of the blocks whose medians tell the floor, and blocks a side over which the
-# median of those is taken: 576 pixels, and a wreck may fill nearly half of it.
+# Side in squares of the blocks whose medians give the floor's level, and side in blocks of the
+# window over which their median is taken: 576 pixels, nearly half of which a wreck may fill.
 BLOCK, AROUND = 16, 9
-# Log intensity over and under the floor's (7 and 10 dB) of what is bright and of shadow: averages
-# of 16 pixels of speckle reach neither in a connected dozen, nor do sediments beside each other.
+# Log intensity above and below the floor's (7 and 10 dB) of bright parts and of shadow: neither is
+# reached by a connected dozen of 16-pixel speckle averages, nor by adjacent sediments.
 BRIGHT, SHADOW = 1.6, 2.3
-# Squares of the smallest bright part and shadow (100 and 130 pixels).
+# Size in squares of the smallest bright part and shadow (100 and 130 pixels).
 LEAST_BRIGHT, LEAST_SHADOW = 6, 8
-# Squares between an object and its shadow, at most.
+# Maximum number of squares between an object and its shadow.
 BESIDE = 2
-# Squares between parts of one object.
+# Maximum number of squares between parts of one object.
 APART = 6
-# Bright parts and shadows in such a window (576 pixels) beyond which they are the floor itself.
+# Number of bright parts and shadows in a window (576 pixels) above which they are the floor itself.
 FIELD = 14
-# Cotangent of grazing angles steeper than which things cast no shadow to speak of, and the water
-# column ends.
+# Cotangent of the grazing angle; at steeper angles objects cast negligible shadow, and the water
+# column may begin.
 STEEP = 0.5
-# Squares beyond an edge that tell what it parts, and log intensity (4 dB) by which a hard one does.
+# Squares beyond an edge with which the inside is compared, and minimum contrast in log intensity
+# (4 dB) of a hard edge.
 EDGE, STEP = 3, 0.9
-# Share of an object that may show ripples.
+# Maximum share of an object that may show ripples.
 RIPPLED = 0.3
 
 
 class Objects(NamedTuple):
-    """What is no floor.
+    """Masks of what is not floor.
 
     Attributes
     ----------
     object, shadow : ndarray of bool (rows, columns)
-        Things, and the shadow that they cast.
+        Objects, and the shadow that they cast.
     """
 
     object: Mask
@@ -72,22 +73,22 @@ def find_objects(
     rippled: Mask,
     inner: Part,
 ) -> Objects:
-    """Find objects with their shadow in an image.
+    """Find objects and their shadows in an image.
 
     Parameters
     ----------
     amplitude : ndarray (rows, columns)
-        Ripples taken off; NaN where there is none. Begins at a whole block of squares.
+        With ripples removed; NaN where there is none. Starts at the edge of a block of squares.
     cotangent : ndarray (rows, columns)
         Of the grazing angle.
     rippled : ndarray of bool (rows, columns)
     inner : tuple of slice
-        What is asked; objects that reach beyond the image are seen in part.
+        Part of the image to return; objects that reach beyond the image are seen in part.
 
     Returns
     -------
     Objects
-        Of what is asked.
+        Within `inner`.
     """
     shape = tuple(s.stop - s.start for s in inner)
     nothing = Objects(np.zeros(shape, bool), np.zeros(shape, bool))
@@ -108,14 +109,14 @@ def find_objects(
     if not kept.any():
         return nothing
     solid, behind = _filled(kept, shadow)
-    # edges lie within squares
+    # edges lie inside squares
     solid = binary_dilation(solid) & ~(behind & ~solid)
     behind = binary_dilation(behind) & ~solid
     return Objects(_fine(solid, amplitude.shape)[inner], _fine(behind, amplitude.shape)[inner])
 
 
 def _thinned(values: NDArray[np.generic], shape: tuple[int, ...]) -> NDArray[np.floating]:
-    """One value a square."""
+    """One value per square."""
     middle = values[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE]
     return np.asarray(middle[: shape[0], : shape[1]], float)
 
@@ -138,7 +139,7 @@ def _floor(level: NDArray[np.floating], there: Mask) -> NDArray[np.floating]:
 
 
 def _hard(mask: Mask, over: NDArray[np.floating], there: Mask, least: int) -> Mask:
-    """Keep connected parts of so many squares at least whose edges are hard."""
+    """Keep connected parts with hard edges and at least `least` squares."""
     parts, count = measure_label(mask)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     large = sizes >= least
@@ -146,7 +147,7 @@ def _hard(mask: Mask, over: NDArray[np.floating], there: Mask, least: int) -> Ma
     if not large.any():
         return np.zeros_like(mask)
     parts = np.where(large[parts], parts, 0)
-    # an edge is two squares wide where it is a step, and what lies beyond is floor
+    # a step edge is two squares wide; beyond it is floor
     near = generate_binary_structure(2, 2)
     ring = (_grown(parts, EDGE) * ~binary_dilation(mask, near, 1) * there).astype(np.int64)
     inside = _means(parts, over, count)
@@ -157,7 +158,7 @@ def _hard(mask: Mask, over: NDArray[np.floating], there: Mask, least: int) -> Ma
 
 
 def _paired(bright: Mask, shadow: Mask, far: NDArray[np.floating]) -> tuple[NDArray[np.int64], int]:
-    """Give bright parts near each other one number, if one has a shadow behind it."""
+    """Give neighbouring bright parts one number, if one of them has a shadow behind it."""
     near = generate_binary_structure(2, 2)
     parts, count = measure_label(bright, near)
     shadows, dark_count = measure_label(shadow, near)
@@ -179,7 +180,7 @@ def _paired(bright: Mask, shadow: Mask, far: NDArray[np.floating]) -> tuple[NDAr
 
 
 def _grown(parts: NDArray[np.int64], steps: int) -> NDArray[np.int64]:
-    """Let numbers spread over what bears none."""
+    """Spread part numbers over unnumbered squares."""
     grown = grey_dilation(parts, size=2 * steps + 1)
     return np.where(parts > 0, parts, grown)
 
@@ -194,7 +195,7 @@ def _means(
 
 
 def _apart(places: NDArray[np.int64], count: int, parts: tuple[Mask, Mask], rippled: Mask) -> Mask:
-    """Objects that stand by themselves, on no ripples."""
+    """Keep objects that stand alone and not on ripples."""
     kept = np.zeros(count + 1, bool)
     every = []
     for mask in parts:
@@ -210,7 +211,7 @@ def _apart(places: NDArray[np.int64], count: int, parts: tuple[Mask, Mask], ripp
 
 
 def _filled(bright: Mask, shadow: Mask) -> tuple[Mask, Mask]:
-    """Whole objects, what is between their parts filled, and the shadow that touches them."""
+    """Return whole objects with gaps between their parts filled, and the shadow touching them."""
     near = generate_binary_structure(2, 2)
     shadows, _ = measure_label(shadow, near)
     touched = np.unique(shadows[binary_dilation(bright, near, BESIDE)])
@@ -220,7 +221,7 @@ def _filled(bright: Mask, shadow: Mask) -> tuple[Mask, Mask]:
 
 
 def _fine(squares: Mask, shape: tuple[int, ...]) -> Mask:
-    """Lay squares on pixels."""
+    """Expand squares to pixels."""
     whole = np.repeat(np.repeat(squares, COARSE, axis=0), COARSE, axis=1)
     result = np.zeros(shape, bool)
     result[: whole.shape[0], : whole.shape[1]] = whole

@@ -8,7 +8,7 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def patches(label):  # type: ignore[no-untyped-def]
-    """Find the patches of a map: pixels of one class that touch by their sides.
+    """Find the patches of a map: pixels of one class connected by their sides.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def patches(label):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _joined(first, one, other):  # type: ignore[no-untyped-def]
-    """Make two numbers those of one patch; returns the less."""
+    """Merge two numbers into one patch; returns the smaller."""
     while first[one] != one:
         one = first[one]
     while first[other] != other:
@@ -60,14 +60,14 @@ def _joined(first, one, other):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _renumbered(number, first, count):  # type: ignore[no-untyped-def]
-    """Give each patch one number, without gaps; returns the pixels of each."""
+    """Renumber the patches without gaps; returns the pixel count of each."""
     last = 0
     for k in range(1, count + 1):
         if first[k] == k:
             last += 1
             first[k] = last
         else:
-            first[k] = first[first[k]]  # less, and so renumbered before
+            first[k] = first[first[k]]  # smaller, and so already renumbered
     size = np.zeros(last + 1, np.int64)
     for r in range(number.shape[0]):
         for c in range(number.shape[1]):
@@ -79,7 +79,7 @@ def _renumbered(number, first, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def counted(label):  # type: ignore[no-untyped-def]
-    """Pixels of each number of a map.
+    """Count the pixels of each number of a map.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def counted(label):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def rims(mask):  # type: ignore[no-untyped-def]
-    """Pixels of a mask that touch, by side or corner, some that are not; where there are none, [].
+    """Find pixels of a mask that touch, by side or corner, pixels outside it.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def rims(mask):  # type: ignore[no-untyped-def]
     Returns
     -------
     ndarray of int (n, 2)
-        Rows and columns, row by row.
+        Rows and columns, row by row; empty where there are none.
     """
     rows, columns = mask.shape
     found = [(0, 0)]

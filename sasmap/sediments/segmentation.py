@@ -1,8 +1,8 @@
-"""Sediment classes: how many there are, and their amplitude laws.
+"""Number of sediment classes, and their amplitude laws.
 
-Blocks of pixels are described by mean and variance of their log amplitude, less the gain of
-the pass and its trend over grazing angle, and grouped by a Gaussian mixture; groups whose laws
-differ by too little a pixel are one sediment. Each class is then an amplitude law of its own
+Blocks of pixels are described by mean and variance of their log amplitude, with the gain of the
+pass and its trend over grazing angle removed, and grouped by a Gaussian mixture; groups whose laws
+differ too little per pixel are one sediment. Each class then has its own amplitude law
 (:func:`sasmap.sediments.fitting.choose`).
 """
 
@@ -38,23 +38,24 @@ from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, 
 
 FloatArray = NDArray[np.float64]
 
-# Scatter that mean and log variance of blocks of one sediment have beyond their sampling.
+# Scatter of mean and log variance within one sediment's blocks, beyond sampling noise.
 FLOOR = (0.02, 0.06)
-# Blocks differ from their neighbours' mean by less than so many standard deviations where they hold
-# one sediment.
+# Standard deviations from the neighbours' mean within which a block holds one sediment.
 EVEN = 3.0
-# Mean log likelihood ratio a pixel (nats) by which laws must differ to be two sediments.
+# Minimum mean log likelihood ratio per pixel (nats) between the laws of two sediments.
 APART = 0.02
-# Pixels, of all looks, whose texture is described (at most some 250 MB, by blocks) and from which
-# textures are learned; and pixels a side of the tiles they are in where a survey has more of them.
+# Pixels, over all looks, whose texture is described (at most about 250 MB, by blocks) and from
+# which textures are learned; side in pixels of the sampled tiles where a survey has more pixels.
 DESCRIBED, SAMPLE, SAMPLED_SIDE = 100_000_000, 3_000_000, 256
-# Gain by range that surely moves classes: log amplitude from the least to the greatest (1.7 dB).
+# Span of gain by range, in log amplitude, above which it certainly shifts classes (1.7 dB).
 PLAIN = 0.2
-# Deviation of blocks from the levels of their classes that gain by range may leave, over that
-# without it, and blocks that tell: false gain, found on grainy sediments with rough boundaries,
-# blurs levels (1.5 to 2 on three such scenes; 0.4 to 1.1 on six with gain, 1.2 over a wreck).
+# Maximum ratio of the blocks' deviation from their class levels with gain by range to that without
+# it, and minimum number of blocks to judge by: false gain, found on grainy sediments with rough
+# boundaries, blurs levels (1.5 to 2 on three such scenes; 0.4 to 1.1 on six with real gain, 1.2
+# over a wreck).
 WORSE, TELLING = 1.3, 2000
-# Share of each look's blocks that must be free of ripples to tell the gain by themselves.
+# Minimum share of each look's blocks that are free of ripples for the gain to be found from these
+# alone.
 LEVEL = 0.2
 
 
@@ -63,7 +64,7 @@ Dark = NDArray[np.bool_]
 
 @dataclass
 class _Survey:
-    """What is gathered of a survey but once, however many ways of grouping it are tried."""
+    """Data of a survey that are gathered once, however many ways of grouping are tried."""
 
     looks: Sequence[AmplitudeGrid]
     blocks: list[Blocks]
@@ -79,20 +80,20 @@ class _Survey:
         self.kept: list[dict[tuple[int, int], NDArray[np.float32]]] = [{} for _ in self.looks]
 
     def leveled(self, bands: Bands | None) -> list[Blocks]:
-        """Take bands, if there are any, off the blocks of all looks."""
+        """Remove bands, if there are any, from the blocks of all looks."""
         return self.blocks if bands is None else leveled(self.blocks, bands)
 
     def flat(self, trends: FloatArray, bands: Bands | None) -> list[Flat]:
-        """Take gain, trend and bands, if there are any, off the looks."""
+        """Remove gain, trend and bands, if there are any, from the looks."""
         each = enumerate(zip(self.looks, trends, self.kept, strict=True))
         return [Flat(v, trend, self.centre, bands, k, kept) for k, (v, trend, kept) in each]
 
     def described(
         self, labels: NDArray[np.int64], trends: FloatArray, bands: Bands | None, dark: Dark
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Texture of blocks under a gain, and which blocks are described."""
+        """Return the texture of blocks under a gain, and which blocks are described."""
         if self.texture is None:
-            # bands are taken off pixel by pixel: within a block they would be texture
+            # bands are removed pixel by pixel: within a block they would appear as texture
             flat = self.flat(trends, self.bands)
             chosen = _sampled(flat, labels, DESCRIBED)
             gains = gain_of(self.blocks, trends, self.bands)
@@ -122,19 +123,19 @@ def find_classes(
 ) -> Classes:
     """Find the classes of a survey.
 
-    Amplitude is gathered from all of it, by blocks; texture and laws from a part of a large one.
+    Amplitude is gathered from all of it, by blocks; texture and laws from a part if it is large.
 
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice; slices are read.
+        On one lattice; read in slices.
     count : int, optional
-        How many; found where not given.
+        Number of classes; found from the data where not given.
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
     rippled : array (rows, columns), optional
-        Above 0 where ripples were taken off. What these leave makes no sediments: texture there
-        counts for nothing. Slices are read.
+        Above 0 where ripples were removed. Texture there is ignored, so that residuals of ripples
+        do not become sediments. Read in slices.
 
     Returns
     -------
@@ -158,7 +159,7 @@ def find_classes(
     if bands is not None:
         if len(found.laws) > 1:
             fewer = _found(survey, None, bands)
-            # what follows range alone is no sediment; else the trend suffices
+            # variation with range alone is not a sediment; otherwise the trend suffices
             most = len(found.laws) - (bands.span < PLAIN)
             if len(fewer.laws) <= most and not _blurred(survey, fewer, found):
                 found = fewer
@@ -168,9 +169,9 @@ def find_classes(
 
 
 def _blurred(survey: _Survey, fewer: _Found, found: _Found) -> bool:
-    """Whether gain by range spreads the levels of classes, instead of explaining them.
+    """Whether gain by range blurs the levels of classes, instead of explaining them.
 
-    Where it makes no classes fewer, it must leave less.
+    Where it does not reduce the number of classes, it must reduce the spread.
     """
     simpler = len(fewer.laws) < len(found.laws)
     if simpler and (found.labels >= 0).sum() < TELLING:
@@ -180,7 +181,7 @@ def _blurred(survey: _Survey, fewer: _Found, found: _Found) -> bool:
 
 
 def _spread(survey: _Survey, found: _Found) -> float:
-    """Deviation of blocks' levels from those of their classes (root mean square)."""
+    """Root mean square deviation of blocks' levels from those of their classes."""
     level, weight = levels(survey.leveled(found.bands), found.trends)
     away = [
         level[one] - np.median(level[one])
@@ -193,7 +194,7 @@ def _spread(survey: _Survey, found: _Found) -> float:
 def _over_waves(block: Blocks, beds: Dark) -> Blocks:
     """Give rippled blocks the level and scatter of their surroundings: crests and troughs differ.
 
-    Medians, so that an edge between sediments stays where it is.
+    Uses medians, so that an edge between sediments stays in place.
     """
     known = block.known > 0
     mine = beds & known
@@ -212,9 +213,9 @@ def _over_waves(block: Blocks, beds: Dark) -> Blocks:
 
 
 def _level_ones(blocks: list[Blocks], beds: Dark | None) -> list[Blocks]:
-    """Blocks without ripples, if there are enough to tell the gain.
+    """Keep blocks without ripples, if there are enough to determine the gain.
 
-    Shadow and slopes of ripples make a bed's mean amplitude go with range in a way of its own.
+    Shadow and slopes of ripples give a bed's mean amplitude its own dependence on range.
     """
     if beds is None:
         return blocks
@@ -227,7 +228,7 @@ def _level_ones(blocks: list[Blocks], beds: Dark | None) -> list[Blocks]:
 
 
 def _without_drift(survey: _Survey, found: _Found) -> _Found:
-    """Unite classes that drift alone parts."""
+    """Merge classes that differ only by drift."""
     level, weight = levels(survey.leveled(found.bands), found.trends)
     seen = np.where(weight > 0, found.labels, -1)
     flat = survey.flat(found.trends, found.bands)
@@ -237,7 +238,7 @@ def _without_drift(survey: _Survey, found: _Found) -> _Found:
 
 
 def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
-    """Group blocks, free of bands of gain, if there are any."""
+    """Group blocks, with bands of gain removed if there are any."""
     blocks = survey.leveled(bands)
     first = trends = survey.first if bands is None else first_trends(blocks)
     dark = dark_blocks(blocks, trends)
@@ -246,7 +247,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
         features, index = _features(blocks, trends, dark)
         groups = grouped(features, FLOOR, fewest, most)
         trends = refit(blocks, groups, index, first)
-        # better trends move few blocks
+        # better trends change the group of few blocks
         there = int(groups.max()) + 1
         fewest, most = max(there - 1, count or 1), max(there + 1, count or 1)
     factor = survey.factor
@@ -254,7 +255,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     labels[index] = groups
     flat = survey.flat(trends, bands)
     none = dark_law(flat, dark, factor)
-    # groups that are one sediment first: each would be beside the other everywhere
+    # merge groups that are one sediment first: else each lies beside the other everywhere
     labels, _ = merged(flat, labels, count or 1, factor, APART)
     labels = pruned(labels, count or 1, rippled=survey.rippled)
     unclear = dark if bands is None else dark | steep(bands, blocks)
@@ -263,7 +264,7 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
     textured, mixed = textured_groups(described, shown, labels, unclear, count)
     labels, laws = merged(flat, labels, count or 1, factor, APART if count is None else np.inf)
     others = laws_of(flat, textured, factor)
-    # where amplitude suffices, it has the sharper boundaries
+    # where amplitude suffices, it gives sharper boundaries
     nested = within(textured, labels)
     alike = len(others) > 1 and too_alike(others) and nested
     same = len(others) == len(laws) and nested and within(labels, textured)
@@ -274,13 +275,13 @@ def _found(survey: _Survey, count: int | None, bands: Bands | None) -> _Found:
 
 
 def _finished(survey: _Survey, found: _Found) -> Classes:
-    """Classes by rising intensity, with their textures where those tell them."""
+    """Return classes by rising intensity, with textures where classes differ by these."""
     order = np.argsort([law.mean_square for law in found.laws], kind="stable")
     laws = tuple(found.laws[i] for i in order)
     texture = None
     if found.textured:
         flat = survey.flat(found.trends, found.bands)
-        number = np.append(np.argsort(order), -1) + 1  # the last is of blocks of no class
+        number = np.append(np.argsort(order), -1) + 1  # the last is for blocks of no class
         chosen = _sampled(flat, found.labels, SAMPLE)
         texture = _learned(flat, number[found.labels], len(laws), chosen)
     return Classes(
@@ -289,7 +290,7 @@ def _finished(survey: _Survey, found: _Found) -> Classes:
 
 
 def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> list[Part]:
-    """Tiles of so many pixels, of all looks, at most."""
+    """Choose tiles with at most about `pixels` pixels over all looks."""
     shape = flat[0].shape
     if shape[0] * shape[1] * len(flat) <= pixels:
         return tiles(shape)
@@ -300,7 +301,7 @@ def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> li
 def _learned(
     flat: Sequence[Flat], labels: NDArray[np.int64], count: int, chosen: Sequence[Part]
 ) -> Texture:
-    """Learn textures of blocks' classes (from 1, 0 for none) from some tiles."""
+    """Learn textures of the blocks' classes (from 1, 0 for none) from some tiles."""
     parts = []
     for part in chosen:
         wide, inner = around(part, REACH, flat[0].shape)
@@ -312,7 +313,7 @@ def _learned(
 
 
 def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int64]:
-    """Classes of blocks on their pixels; 0 beyond the last whole block."""
+    """Expand classes of blocks to their pixels; 0 beyond the last whole block."""
     whole = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
     whole = whole[: shape[0], : shape[1]]
     return np.pad(whole, [(0, n - m) for n, m in zip(shape, whole.shape, strict=True)])
@@ -321,7 +322,7 @@ def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int
 def _features(
     blocks: list[Blocks], trends: FloatArray, dark: NDArray[np.bool_]
 ) -> tuple[FloatArray, tuple[NDArray[np.int64], ...]]:
-    """Mean and log variance of log amplitude of even blocks (n, 2), and where they are."""
+    """Mean and log variance of log amplitude of even blocks (n, 2), and their indices."""
     level, weight = levels(blocks, trends)
     weight = np.where(dark, 0.0, weight)
     spread = np.sum([b.known * b.variance for b in blocks], axis=0)

@@ -1,4 +1,4 @@
-"""How far amplitude laws differ, and groups of blocks whose laws do not."""
+"""Separation of amplitude laws, and merging of groups of blocks whose laws do not differ."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from sasmap.sediments.floor import Flat, pixels_of
 
 FloatArray = NDArray[np.float64]
 
-# Nats a pixel below which two textures have one histogram.
+# Nats per pixel below which two textures have the same histogram.
 ALIKE = 0.005
-# Blocks (96 pixels) across which an edge lifts the level by nearly as much as classes differ, pairs
-# of blocks that tell it, and log amplitude (0.9 and 3.5 dB) by which levels must differ to tell it,
-# and beyond which they are two sediments even if one changes into the other slowly.
+# Distance in blocks (96 pixels) over which the step at an edge is measured, minimum number of pairs
+# of blocks, and log amplitude (0.9 and 3.5 dB) by which levels must differ to test for an edge, and
+# beyond which they are two sediments even if one changes into the other slowly.
 LAG, ENOUGH, TOLD, APART = 6, 20, 0.1, 0.4
-# That of textures, whose levels scatter more.
+# The same minimum difference of levels for textures, whose levels scatter more.
 TOLD_TEXTURED = 0.2
-# Share of the classes' difference below which there is no edge: simulated edges have 0.93 and more,
-# wavy ones of recorded snippets 0.72 and 0.89, drifts 0.2 to 0.7.
+# Step as a share of the classes' difference below which there is no edge: simulated edges have 0.93
+# and more, wavy ones of recorded snippets 0.72 and 0.89, drifts 0.2 to 0.7.
 SHARP = 0.5
-# Log amplitude (1.7 dB) that relief may make of a bed's level, as its law is not known: 0.16 is
-# left of simulated ripples under a law with a peak; and the rippled shares of the two classes, the
-# one at most and the other at least, if it is that which parts them: part of a bed may be with the
-# flat floor.
+# Log amplitude (1.7 dB) by which relief may change a bed's level, as its scattering law is unknown
+# (0.16 remains for simulated ripples under a law with a peak); maximum rippled share of the one
+# class and minimum of the other where relief separates them (part of a bed may be classed with the
+# flat floor).
 RELIEF, PARTLY, WHOLLY = 0.2, 0.65, 0.8
-# Share of a texture's blocks that are of one class by amplitude, if it does not cut across those.
+# Minimum share of a texture's blocks in one class by amplitude, for it not to cut across classes.
 WITHIN = 0.7
 
 
@@ -49,7 +49,7 @@ def laws_of(flat: Sequence[Flat], labels: NDArray[np.int64], factor: float) -> l
     labels : ndarray of int (block rows, block columns)
         From 0; -1 for none.
     factor : float
-        Pixels to an independent sample.
+        Pixels per independent sample.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def merged(
     factor: float,
     apart: float,
 ) -> tuple[NDArray[np.int64], list[Law]]:
-    """Unite classes whose laws differ by less than so much, the nearest first; `least` are left."""
+    """Merge classes less than `apart` from each other, nearest first, down to `least`."""
     laws = laws_of(flat, labels, factor)
     while len(laws) > least:
         each = range(len(laws))
@@ -75,7 +75,7 @@ def merged(
             break
         labels = np.where(labels == i, j, labels)
         labels = np.where(labels > i, labels - 1, labels)
-        del laws[i]  # j is less
+        del laws[i]  # j < i
         laws[j] = law_of(flat, labels == j, factor)
     return labels, laws
 
@@ -89,10 +89,10 @@ def united(
     told: float,
     rippled: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.int64], list[Law]]:
-    """Unite classes that differ in level but change into each other without an edge.
+    """Merge classes that differ in level but change into each other without an edge.
 
-    A floor whose level drifts a little is one sediment; a boundary is where it jumps. Rippled floor
-    and flat floor that differ by no more than what relief makes are one sediment as well.
+    A floor whose level drifts slightly is one sediment; at a boundary the level jumps. Rippled and
+    flat floor that differ by no more than the effect of relief are one sediment as well.
 
     Parameters
     ----------
@@ -103,9 +103,9 @@ def united(
     level : ndarray (block rows, block columns)
         Mean log amplitude of blocks.
     factor : float
-        Pixels to an independent sample.
+        Pixels per independent sample.
     told : float
-        Log amplitude by which levels must differ to tell whether there is an edge.
+        Log amplitude by which levels must differ to test for an edge.
     rippled : ndarray of bool (block rows, block columns), optional
 
     Returns
@@ -123,7 +123,7 @@ def united(
             break
         labels = np.where(labels == i, j, labels)
         labels = np.where(labels > i, labels - 1, labels)
-        laws = [law for k, law in enumerate(laws) if k != i]  # j is less
+        laws = [law for k, law in enumerate(laws) if k != i]  # j < i
         laws[j] = law_of(flat, labels == j, factor)
         if rippled is not None:
             del beds[i]
@@ -132,7 +132,7 @@ def united(
 
 
 class _Bed(NamedTuple):
-    """Log rms amplitude of a class's pixels, which shadow changes little, and its rippled share."""
+    """Log rms amplitude of a class's pixels (shadow changes it little), and its rippled share."""
 
     power: float
     share: float
@@ -159,17 +159,17 @@ def _sharpness(
     told: float,
     beds: Sequence[_Bed],
 ) -> float:
-    """Difference of two classes' levels across their boundary, of that of the classes as such.
+    """Level step at the boundary of two classes, relative to the difference of their levels.
 
-    1 where it cannot be told; 0 where it is as little as relief makes, one class is rippled and the
-    other has flat floor.
+    1 where it cannot be determined; 0 where relief can explain the difference and one class is
+    rippled and the other has flat floor.
     """
     i, j = pair
     whole = float(np.median(level[labels == i]) - np.median(level[labels == j]))
     relief = bool(beds) and _parted_by_relief(beds[i], beds[j])
     if not relief and not told < abs(whole) < APART:
         return 1.0
-    # blocks beside another class, or beside nothing, hold some of it
+    # blocks beside other classes, or beside no class, are mixed
     pure = binary_erosion((labels == i) | (labels == j), np.ones((3, 3)), border_value=1)
     inside = np.where(pure, labels, -1)
     jumps = []
@@ -190,7 +190,7 @@ def _parted_by_relief(first: _Bed, second: _Bed) -> bool:
 
 
 def within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:
-    """Whether each group of blocks lies mostly within one class, and so cuts across none."""
+    """Whether each group of blocks lies mostly within one class, and so does not cut across any."""
     both = (groups >= 0) & (classes >= 0)
     table = np.zeros((int(groups.max()) + 1, int(classes.max()) + 1))
     np.add.at(table, (groups[both], classes[both]), 1)
@@ -198,12 +198,12 @@ def within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:
 
 
 def too_alike(laws: Sequence[Law]) -> bool:
-    """Whether there are laws that amplitude does not tell apart."""
+    """Whether there are laws that amplitude does not separate."""
     return any(separation(a, b) < ALIKE for i, a in enumerate(laws) for b in laws[:i])
 
 
 def separation(first: Law, second: Law) -> float:
-    """Mean log likelihood ratio a pixel of two laws, nats: the smaller of both directions.
+    """Mean log likelihood ratio per pixel of two laws, nats: the smaller of both directions.
 
     Parameters
     ----------

@@ -1,12 +1,13 @@
-"""Texture in space: amplitude laws at several scales, as one likelihood of what a floor is.
+"""Spatial texture: amplitude laws at several scales, combined into one likelihood of a class.
 
-One-point statistics cannot tell a rippled bed, a boulder field and a flat floor of one histogram
-apart. Averaging intensity over 2, 4, 8 and 16 pixels turns the correlation of texture into the
-law's shape at each scale (speckle goes to a Gaussian at once, correlated texture keeps its shape),
-and how much the averages of neighbours differ tells at which scale it ends, in any direction. Each
-of these laws is a table of log densities a class. They overlap, so their sum is no likelihood but a
-composite one, whose weights are those that best tell the classes' own pixels apart (multinomial
-logistic regression; Varin, Reid and Firth 2011, An overview of composite likelihood methods).
+One-point statistics cannot separate a rippled bed, a boulder field and a flat floor with the same
+histogram. Averaging intensity over 2, 4, 8 and 16 pixels turns the correlation of texture into the
+shape of the law at each scale (speckle quickly becomes Gaussian, correlated texture keeps its
+shape), and the differences between neighbouring averages show at which scale it ends, in any
+direction. Each of these laws is a table of log densities per class. They overlap, so their sum is a
+composite likelihood, whose weights are those that best separate the classes' own pixels
+(multinomial logistic regression; Varin, Reid and Firth 2011, An overview of composite likelihood
+methods).
 """
 
 from __future__ import annotations
@@ -24,25 +25,27 @@ from scipy.optimize import minimize
 FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-# Pixels over which intensity is averaged, and pixels apart (and averaged) of its differences.
+# Pixels over which intensity is averaged, and distance in pixels of its differences (and the
+# averaging length of these).
 SCALES, LAGS = (1, 2, 4, 8, 16), (1, 2, 4, 8)
 CHANNELS = len(SCALES) + len(LAGS)
-# Pixels a side of the windows that laws are averaged over. On hand-labelled strips 33 alone has a
-# mean recall of 0.872, 17 alone 0.858, both 9 and 33 have 0.880.
+# Side in pixels of the windows over which laws are averaged. On hand-labelled strips 33 alone has a
+# mean recall of 0.872, 17 alone 0.858, 9 and 33 together 0.880.
 WINDOWS = (9, 33)
-# Pixels of a window's evidence that one boundary may count as its own: a quarter of the largest.
+# Pixels by which a window's evidence is divided, so that a boundary counts it only once: a quarter
+# of the largest window.
 SHARED = 300.0
-# Pixels around a place that decide its channels (half the coarsest scale, or half the coarsest lag
-# and half of what is averaged), and its evidence: half a window more. Whole blocks.
+# Margin in pixels that influences a place's channels (half the coarsest scale, or half the coarsest
+# lag and half of its average), and its evidence (half a window more). Whole blocks.
 REACH, MARGIN = 16, 32
 BINS, TAILS = 60, 0.0005
-# Samples that stand in a bin before any are counted.
+# Pseudo-counts added to each bin.
 PRIOR = 2.0
-# Strength of the prior on standardised weights, of the mean log loss (0.001 to 0.01 are alike), and
-# pixels of a class that decide the weights.
+# Strength of the prior on standardised weights, relative to the mean log loss (0.001 to 0.01
+# perform the same), and pixels per class from which the weights are fitted.
 STIFF, DECIDING = 3e-3, 6000
-# Pixels a side of the squares by which it is tried whether texture tells more than amplitude, and
-# by how much it must, in mean recall.
+# Side in pixels of the squares of the cross-validation of texture against amplitude (also the
+# minimum number of pixels of a class in each half), and minimum gain in mean recall.
 FOLD, WORTH = 96, 0.02
 
 
@@ -55,7 +58,7 @@ class Texture:
     low, high : ndarray (channels,)
         Ends of each law's bins.
     table : ndarray (windows, classes, channels, bins)
-        What a pixel adds to the log odds of each class.
+        Contribution of a pixel to the log odds of each class.
     offset : ndarray (classes,)
     """
 
@@ -65,13 +68,13 @@ class Texture:
     offset: FloatArray
 
     def of(self, classes: Sequence[int]) -> Texture:
-        """Laws of some classes (from 0)."""
+        """Select the laws of some classes (numbers from 0)."""
         chosen = list(classes)
         return Texture(self.low, self.high, self.table[:, chosen], self.offset[chosen])
 
 
 def channels(logs: NDArray[np.floating]) -> Single:
-    """Log amplitude at several scales, and differences of what is so averaged.
+    """Log amplitude at several scales, and differences of these averages.
 
     Parameters
     ----------
@@ -85,7 +88,7 @@ def channels(logs: NDArray[np.floating]) -> Single:
     """
     known = np.isfinite(logs)
     every = bool(known.all())
-    # single precision holds squares of amplitudes about the middle one, whatever their unit
+    # relative to the mean level, squares of amplitudes stay in the range of single precision
     middle = float(np.rint(np.mean(logs, where=known))) if known.any() else 0.0
     level = np.where(known, logs - middle, 0.0).astype(np.float32)
     sums = _padded(np.exp(2 * level) * known)
@@ -111,13 +114,13 @@ def channels(logs: NDArray[np.floating]) -> Single:
 
 
 def _padded(values: Single) -> Single:
-    """Mirror an image at its edges as far as the widest square reaches."""
+    """Mirror an image at its edges by the reach of the widest square."""
     half = SCALES[-1] // 2
     return np.pad(values, ((half, half - 1), (half, half - 1)), "symmetric")
 
 
 def _doubled(sums: Single, side: int) -> Single:
-    """Add up squares of twice the side, of those that begin at each pixel."""
+    """Sum over squares of twice the side, from those that begin at each pixel."""
     sums = sums[:-side] + sums[side:]
     return np.asarray(sums[:, :-side] + sums[:, side:])
 
@@ -129,7 +132,7 @@ def _inner(sums: Single, side: int, shape: tuple[int, ...]) -> Single:
 
 
 def _box(values: Single, share: Single, side: int, every: bool) -> Single:
-    """Mean of what is known over squares."""
+    """Mean of known values over squares."""
     mean = uniform_filter(values, side, mode="reflect")
     if every:
         return np.asarray(mean)
@@ -156,19 +159,19 @@ def learn(
     deciding: int = DECIDING,
     cores: bool = False,
 ) -> Texture:
-    """Learn what classes look like from pixels at which they are known.
+    """Learn the texture of classes from pixels of known class.
 
     Parameters
     ----------
     parts : sequence of (channels, class)
-        Of each look: :func:`channels`, and from 1 the class of each pixel, 0 for none.
+        Of each look: :func:`channels`, and the class of each pixel from 1, 0 for none.
     count : int
-        Classes; at least two, each of them shown.
+        Number of classes; at least two, each with marked pixels.
     deciding : int
-        Pixels of a class in a part that decide the weights.
+        Pixels per class in a part from which the weights are fitted.
     cores : bool
-        Whether these lie inside areas of one class, so that they tell nothing of boundaries. Where
-        not, as marks of a person do, they tell where those lie.
+        Whether the pixels lie only inside areas of one class, and so carry no information on
+        boundaries. Marks made by a person do carry it.
 
     Returns
     -------
@@ -195,7 +198,7 @@ def learn(
 def _laws(
     shown: Sequence[tuple[Single, NDArray[np.integer]]], count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Lay bins (ends: channels,) and count the log density of each class in them."""
+    """Set the bins (ends: channels,) and estimate the log density of each class in them."""
     low, high = np.empty(CHANNELS), np.empty(CHANNELS)
     logs = np.empty((CHANNELS, count, BINS))
     for c in range(CHANNELS):
@@ -215,11 +218,11 @@ def _binned(values: NDArray[np.floating], low: float, high: float) -> NDArray[np
 
 
 def _deciding(marks: NDArray[np.integer], count: int, most: int) -> tuple[NDArray[np.int64], ...]:
-    """Pixels of each class, evenly thinned."""
+    """Select pixels of each class, evenly thinned."""
     places = []
     for k in range(1, count + 1):
         index = np.flatnonzero(marks == k)
-        # an odd step meets all columns
+        # an odd step reaches all columns
         places.append(index[:: max(index.size // most, 1) | 1])
     return np.unravel_index(np.concatenate(places), marks.shape)
 
@@ -231,7 +234,7 @@ def _smoothed(
     ratio: FloatArray,
     chosen: tuple[NDArray[np.int64], ...],
 ) -> FloatArray:
-    """Log ratios of laws over windows at chosen pixels (channels x classes - 1 x windows, n)."""
+    """Log ratios of laws over windows at chosen pixels (channels x (classes - 1) x windows, n)."""
     known = np.isfinite(found[0])
     shares = _window_sums(known.astype(np.float32), chosen)
     rows = []
@@ -244,7 +247,7 @@ def _smoothed(
 
 
 def _window_sums(values: Single, chosen: tuple[NDArray[np.int64], ...]) -> FloatArray:
-    """Add up all windows about chosen pixels (windows, n), mirrored at the edges."""
+    """Sum over all windows about chosen pixels (windows, n), mirrored at the edges."""
     half = WINDOWS[-1] // 2
     wide = np.pad(values, half, "symmetric").astype(float)
     total = np.pad(wide.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
@@ -264,7 +267,7 @@ def _window_sums(values: Single, chosen: tuple[NDArray[np.int64], ...]) -> Float
 def _weights(
     features: FloatArray, classes: NDArray[np.int64], count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Multinomial logistic regression, each class with the same say."""
+    """Fit a multinomial logistic regression in which each class has the same weight."""
     n, total = features.shape
     mean, sd = features.mean(axis=1), features.std(axis=1) + 1e-9
     z = (features - mean[:, None]) / sd[:, None]
@@ -293,16 +296,16 @@ def _weights(
 
 
 def _midway(scores: FloatArray, classes: NDArray[np.int64]) -> FloatArray:
-    """Offsets (classes,) that make a window of two halves undecided.
+    """Offsets (classes,) that make the log odds of a half-and-half window zero.
 
-    The log odds of a window go from what one class has to what the other has as its share grows,
-    and are 0 in the middle if both are alike away from it. Where one class has more evidence a
-    pixel than the other, the boundary would lie in that one's favour.
+    The log odds of a window go from those of one class to those of the other as its share grows,
+    and are 0 in the middle if both are equally large. Where one class has more evidence per pixel
+    than the other, the boundary would be shifted in its favour.
     """
     each = range(len(scores))
     level = np.array([np.median(scores[:, classes == k], axis=1) for k in each]).T
     own = np.diag(level)
-    ahead = own[:, None] - level.T  # of class k in its own floor, over class j
+    ahead = own[:, None] - level.T  # log odds of class k over class j on floor of class k
     return np.asarray((ahead.T - ahead).mean(axis=1) / 2)
 
 
@@ -337,7 +340,7 @@ def evidence(texture: Texture, found: Single) -> Single:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_up(found, low, scale, table, result):  # type: ignore[no-untyped-def]
-    """Add up, pixel by pixel, what the table of each class says of all channels."""
+    """Sum each class's table values over all channels, pixel by pixel."""
     channels, rows, columns = found.shape
     classes, _, bins = table.shape
     for r in range(rows):
@@ -358,14 +361,14 @@ def tells_more(
     count: int,
     deciding: int = DECIDING,
 ) -> bool:
-    """Whether texture tells known classes apart better than their amplitude laws do.
+    """Whether texture separates known classes better than their amplitude laws do.
 
-    Learned on half of the squares of a chequerboard, it is judged on the other half, and back.
+    Cross-validated: learned on half of a chequerboard's squares, tested on the other, and swapped.
 
     Parameters
     ----------
     parts : sequence of (channels, class)
-        As :func:`learn` takes them.
+        As for :func:`learn`.
     amplitude : sequence of ndarray (classes, rows, columns)
         Log likelihoods of the classes' laws at each pixel of each look.
     count, deciding : int
@@ -373,7 +376,7 @@ def tells_more(
     Returns
     -------
     bool
-        No where a half lacks a class: nothing can be judged.
+        False where a half has too few pixels of a class for a test.
     """
     right = np.zeros((2, count))
     total = np.zeros(count)

@@ -1,4 +1,4 @@
-"""Sediment classes from pixels at which they are known."""
+"""Sediment classes from pixels of known class (training marks)."""
 
 from __future__ import annotations
 
@@ -17,29 +17,30 @@ from sasmap.sediments.floor import TILE, Flat, Part, flat_looks, gather, marked_
 from sasmap.sediments.texture import DECIDING, Texture, channels, learn, tells_more
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit, trend_of
 
-# Of a class's marked pixels, independent samples that a law takes at least; and share of a block's
-# pixels that are marked alike where the block is.
+# Minimum number of independent samples in a class's marked pixels for a law; minimum share of a
+# block's pixels with one mark for the block to have it.
 LEAST_SAMPLES, MARKED = 50, 0.9
-# Share of the scatter within marked classes that must be left without gain by range.
+# Gain by range is accepted where removing it leaves less than this share of the scatter within
+# marked classes.
 AGREE = 0.8
-# Pixels, of all looks, from which textures are learned.
+# Number of pixels, over all looks, from which textures are learned.
 SAMPLE = 6_000_000
 
 
 def train_classes(
     looks: Sequence[AmplitudeGrid], marks: Any, count: int, workers: Workers = 1
 ) -> Classes:
-    """Learn classes from pixels at which they are known.
+    """Learn classes from pixels of known class.
 
     Parameters
     ----------
     looks : sequence of AmplitudeGrid
-        On one lattice; slices are read.
+        On one lattice; read in slices.
     marks : array of uint8 (rows, columns)
-        1 for the first class, 0 where none is known; slices are read.
+        1 for the first class, 0 where none is known; read in slices.
     count : int
     workers : int, None or callable
-        Threads, or what spreads work.
+        Number of threads, or a callable that distributes work.
 
     Returns
     -------
@@ -49,7 +50,7 @@ def train_classes(
     Raises
     ------
     ValueError
-        Where the looks show too few of a class's pixels; or no block at all.
+        Where the looks show too few pixels of a class, or no block at all.
     """
     blocks, centre = gather(looks, None, workers)
     labels = _marked_blocks(marks, blocks[0].mean.shape, count)
@@ -79,9 +80,9 @@ def train_classes(
 
 
 def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
-    """Gain by range, if marked blocks of one class agree better without it.
+    """Return gain by range, if marked blocks of one class agree better with it removed.
 
-    Sediments that lie beyond each other along a whole line are no gain where training shows them.
+    Sediments at different ranges along a whole line are not taken for gain where they are marked.
     """
     bands = find_bands(blocks, first_trends(blocks))
     if bands.span < SLIGHT:
@@ -91,9 +92,9 @@ def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
 
 
 def _scatter(blocks: list[Blocks], labels: NDArray[np.int64]) -> float:
-    """Share of the scatter of marked blocks' level that is within classes, over all looks.
+    """Within-class share of the variance of marked blocks' levels, over all looks.
 
-    Where there is one class, its variance.
+    With a single class, its variance.
     """
     levels, groups = [], []
     for k, (block, trend) in enumerate(zip(blocks, first_trends(blocks), strict=True)):
@@ -111,7 +112,7 @@ def _scatter(blocks: list[Blocks], labels: NDArray[np.int64]) -> float:
 
 
 def _trained_texture(flat: Sequence[Flat], marks: Any, laws: Sequence[Law]) -> Texture | None:
-    """Laws at several scales, if they tell the marked pixels apart better than amplitude does."""
+    """Learn laws at several scales, if they separate the marked pixels better than amplitude."""
     middle = np.log(max(law.mean_square for law in laws)) / 2
     grid = np.linspace(middle - 12, middle + 4, 800)
     table = [law.log_density(np.exp(grid)) for law in laws]
@@ -130,7 +131,7 @@ def _trained_texture(flat: Sequence[Flat], marks: Any, laws: Sequence[Law]) -> T
 
 
 def _marked_boxes(marks: Any, shape: tuple[int, ...], most: int) -> list[Part]:
-    """Boxes of marks in tiles, at random so many pixels of them and some of each class."""
+    """Choose boxes of marks in random tiles, up to about `most` pixels, with some of each class."""
     found, total, seen = [], 0, np.zeros(256, bool)
     every = tiles(shape)
     for i in np.random.default_rng(0).permutation(len(every)):
@@ -140,7 +141,7 @@ def _marked_boxes(marks: Any, shape: tuple[int, ...], most: int) -> list[Part]:
         there[0] = False
         if not there.any() or (total > most and not (there & ~seen).any()):
             continue
-        # no more of a tile than its marks
+        # crop the tile to its marks
         ends = [np.flatnonzero(here.any(axis=axis))[[0, -1]] for axis in (1, 0)]
         rows, columns = (
             slice(s.start + int(e[0]), s.start + int(e[1]) + 1)
@@ -153,7 +154,7 @@ def _marked_boxes(marks: Any, shape: tuple[int, ...], most: int) -> list[Part]:
 
 
 def _marked_blocks(marks: Any, lattice: tuple[int, ...], count: int) -> NDArray[np.int64]:
-    """Class (from 0) of each block that is marked alike, -1 of others."""
+    """Class (from 0) of each uniformly marked block, -1 for others."""
     result = np.full(lattice, -1)
     step = TILE // BLOCK
     for top in range(0, lattice[0], step):

@@ -1,7 +1,7 @@
 """Gain and trend over grazing angle of each look, by blocks of pixels.
 
-Such a trend and a boundary that runs along the track look alike to a single look; looks from
-two sides, or ranges, tell them apart.
+A single look cannot separate such a trend from a boundary that runs along the track; looks from two
+sides, or ranges, can.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ FloatArray = NDArray[np.float64]
 Real = TypeVar("Real", bound=np.floating[Any])
 
 BLOCK = 16
-# Least cotangent of a grazing angle that is told apart: 3 degrees off the vertical.
+# Minimum cotangent of a grazing angle that is resolved: 3 degrees off the vertical.
 STEEPEST = 0.05
-# Pixels apart, each way, of those that tell where a block is.
+# Step in pixels, each way, of those from which a block's position is averaged.
 THINNED = 4
-# Of a block's pixels, how many must be known.
+# Minimum share of a block's pixels that are known.
 MIN_KNOWN = 0.6
-# Blocks apart, at most, of pairs that tell the trend.
+# Maximum distance in blocks of the pairs that determine the trend.
 LAGS = 4
-# Such pairs of one direction, at most: evenly thinned.
+# Maximum number of such pairs in one direction and distance (evenly thinned).
 PAIRS = 100_000
-# Rounds of reweighting, at most, and change of slope and bend that ends them.
+# Maximum rounds of reweighting, and change of slope and bend at which they stop.
 ROUNDS, SETTLED = 30, 1e-5
-# How far slope and bend within classes may be from what those say (standard deviation).
+# Standard deviations of slope and bend within classes about those first estimates.
 SLOPE_SD = (0.12, 0.3)
 
 
 class AmplitudeGrid(NamedTuple):
-    """What one look shows, on the map's lattice.
+    """Amplitude and geometry of one look, on the map's lattice.
 
     Attributes
     ----------
     amplitude : array (rows, columns)
-        NaN where there is none, or no sediment (shadow, water column). Where said, slices are read.
+        NaN where there is none, or no sediment (shadow, water column). Read in slices where stated.
     cotangent : array (rows, columns)
         Of the grazing angle: ground range over altitude.
     altitude : array (rows, columns) or None
-        Of the sonar over the floor, m, where it is known.
+        Altitude of the sonar above the floor, m, where it is known.
     """
 
     amplitude: Any
@@ -60,9 +60,9 @@ class Blocks(NamedTuple):
     mean, variance : ndarray
         Of the log amplitude.
     known : ndarray
-        Pixels.
+        Number of known pixels.
     place : ndarray
-        Log cotangent of the grazing angle about a centre, where a trend is told.
+        Log cotangent of the grazing angle about a centre, constant where there is no trend.
     angle, reach : ndarray
         Log cotangent, also of steep angles, and log slant range (0 where it is not known).
     """
@@ -76,7 +76,7 @@ class Blocks(NamedTuple):
 
 
 def log_cotangent(cotangent: NDArray[Real]) -> NDArray[Real]:
-    """Log of a grazing angle's cotangent; steeper than 45 degrees there is no trend."""
+    """Log of a grazing angle's cotangent, 0 for angles steeper than 45 degrees (no trend)."""
     return np.asarray(np.log(np.maximum(cotangent, 1.0)))
 
 
@@ -108,7 +108,7 @@ def block_statistics(look: AmplitudeGrid, centre: float) -> Blocks:
 
 
 def _places(look: AmplitudeGrid, known: NDArray[np.bool_], centre: float) -> list[FloatArray]:
-    """Place, angle and reach of blocks: they change so slowly that few pixels tell."""
+    """Place, angle and reach of blocks; they vary so slowly that few pixels suffice."""
     rows, columns = (n // BLOCK * BLOCK for n in known.shape)
     some = slice(THINNED // 2, rows, THINNED), slice(THINNED // 2, columns, THINNED)
     side = BLOCK // THINNED
@@ -125,13 +125,13 @@ def _places(look: AmplitudeGrid, known: NDArray[np.bool_], centre: float) -> lis
 
 
 def _summed(values: NDArray[Any]) -> FloatArray:
-    """Add up the pixels of blocks (block rows, their rows, block columns, their columns)."""
+    """Sum over the pixels of blocks (block rows, their rows, block columns, their columns)."""
     down = values.sum(axis=1, dtype=None if values.dtype != bool else np.float64)
     return np.asarray(down.sum(axis=2, dtype=float))
 
 
 def first_trends(blocks: list[Blocks]) -> FloatArray:
-    """Slope and bend of each look by its neighbouring blocks, gain by the blocks that two show."""
+    """Fit slope and bend of each look from its neighbouring blocks, gain from overlapping looks."""
     trends = np.zeros((len(blocks), 3))
     for k, block in enumerate(blocks):
         trends[k, 1:] = _slope(block)
@@ -144,7 +144,7 @@ def first_trends(blocks: list[Blocks]) -> FloatArray:
 
 
 def gain_over(block: Blocks, trend: FloatArray, other: Blocks, known: FloatArray) -> float | None:
-    """Tell a look's gain by the floor that another look shows as well.
+    """Find a look's gain from the floor that another look shows as well.
 
     Parameters
     ----------
@@ -169,10 +169,10 @@ def gain_over(block: Blocks, trend: FloatArray, other: Blocks, known: FloatArray
 
 
 def _slope(block: Blocks) -> FloatArray:
-    """Slope and bend of log amplitude with log cotangent, by differences of near blocks.
+    """Fit slope and bend of log amplitude over log cotangent to differences of near blocks.
 
-    Of most such pairs both blocks hold the same sediment; those that do not are told by their
-    residuals and count for little (Cauchy weights).
+    In most such pairs both blocks hold the same sediment; the others have large residuals and
+    little weight (Cauchy weights).
     """
     change, step, bend = [], [], []
     for axis in (0, 1):
@@ -187,13 +187,13 @@ def _slope(block: Blocks) -> FloatArray:
     y, ahead, bent = (np.concatenate(v) for v in (change, step, bend))
     if y.size < 20:
         return np.zeros(2)
-    # from no trend at all: least squares would begin at what edges and objects make
+    # start from no trend: the least-squares fit is affected by edges and objects
     found: FloatArray = np.zeros(2)
     for _ in range(ROUNDS):
         before = found
         scale = 1.5 * median(np.abs(y - found[0] * ahead - found[1] * bent)) + 1e-9
         matrix, right = _weighed(y, ahead, bent, found, scale)
-        # what nothing tells stays at 0
+        # unconstrained parameters stay at 0
         matrix += np.diag([1e-4, 1e-3])
         found = np.asarray(np.linalg.solve(matrix, right), np.float64)
         if np.abs(found - before).max() < SETTLED:
@@ -203,7 +203,7 @@ def _slope(block: Blocks) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _weighed(y, step, bend, trend, scale):  # type: ignore[no-untyped-def]
-    """Add up the normal equations of slope and bend, each difference with its Cauchy weight."""
+    """Sum the normal equations of slope and bend, each difference with its Cauchy weight."""
     matrix, right = np.zeros((2, 2)), np.zeros(2)
     for i in range(y.size):
         rest = (y[i] - trend[0] * step[i] - trend[1] * bend[i]) / scale
@@ -218,8 +218,8 @@ def _weighed(y, step, bend, trend, scale):  # type: ignore[no-untyped-def]
 
 
 def trend_of(trend: FloatArray, place: NDArray[Real]) -> NDArray[Real]:
-    """Log of the amplitude that a gain, slope and bend make at log cotangents about the centre."""
-    gain, slope, bend = (float(v) for v in trend)  # of the precision that places have
+    """Log amplitude for a gain, slope and bend at log cotangents about the centre."""
+    gain, slope, bend = (float(v) for v in trend)  # the result keeps the precision of `place`
     return np.asarray(gain + slope * place + bend * place * place)
 
 
@@ -231,22 +231,22 @@ def refit(
     means: FloatArray | None = None,
     gain_sd: float = 1e-6,
 ) -> FloatArray:
-    """Fit gain, slope and bend of each look to what its blocks have beyond their classes.
+    """Fit gain, slope and bend of each look to its blocks' deviations from their classes.
 
-    Not far from the first slopes, which no class can have bent.
+    A prior keeps slopes near the first ones, which do not depend on classes.
 
     Parameters
     ----------
     blocks : list of Blocks
     groups : ndarray of int
-        Class of each block of `index`; or of each block of the lattice.
+        Class of each block of `index`, or of each block of the lattice.
     index : tuple of ndarray
-        Rows and columns of the blocks that count.
+        Rows and columns of the blocks that are used.
     first : ndarray (looks, 3)
     means : ndarray (classes,), optional
         Mean log amplitude of each class; fitted as well where not given.
     gain_sd : float
-        Of the first look's gain, which is otherwise the survey's.
+        Standard deviation of the first look's gain, which is otherwise fixed as the survey's.
 
     Returns
     -------

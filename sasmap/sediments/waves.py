@@ -1,11 +1,11 @@
-"""Amplitude of the floor as it is when averaged over its ripples.
+"""Amplitude of the floor with its ripples averaged out.
 
-Ripples are taken off without a model of them: where the local spectrum holds a wave, the image of
-log intensity is demodulated by it, pixels are folded by the phase so found, and the mean profile,
-a few harmonics of it, is subtracted. Shadow of the ripples is a part of the profile and so of the
-bed; a profile has no level, so sediments keep theirs. Where crests turn, fork or cross others no
-one profile holds: what it leaves at the scale of the ripples is subtracted as well, down to what
-speckle has. Nothing is asked of the cells that ripples are estimated in.
+Ripples are removed without a model of them: where the local spectrum has a peak, the image of log
+intensity is demodulated at its wave number, pixels are folded by the resulting phase, and the mean
+profile, a few harmonics of the wave, is subtracted. Shadow of the ripples is part of the profile
+and so of the bed; a profile has zero mean, so sediments keep their level. Where crests turn, fork
+or cross, no single profile holds: its residual at the scale of the ripples is subtracted as well,
+down to the speckle level. The cells in which ripples are estimated are not used.
 """
 
 from __future__ import annotations
@@ -25,52 +25,53 @@ FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
 Part = tuple[slice, slice]
 
-# Pixels a side that are averaged first; averaged pixels a side of windows, which overlap by half:
-# small ones find short ripples in small patches, large ones long and weak ones.
+# Side in pixels of the squares that are averaged first; side in averaged pixels of windows, which
+# overlap by half: small ones find short ripples in small patches, large ones long and weak ripples.
 COARSE, WINDOWS = 4, (128, 64)
 LATTICE, MARGIN = COARSE * WINDOWS[0] // 2, COARSE * WINDOWS[0]
-# Modes of a small window by which its wave may differ from that of a large one that finds ripples
-# all over it, and so suffices: where they are the same they are up to one apart.
+# Difference, in modes of a small window, within which its wave is that of a large window, which
+# then suffices if it finds ripples all over the small one: equal waves are up to one mode apart.
 SAME = 1.5
-# Waves that are looked for, averaged pixels: shorter ones are averaged over by the blocks of
-# pixels that sediments are found by (16 pixels); and how many a window must hold.
+# Shortest wavelength searched, in averaged pixels (shorter ones average out in the blocks of 16
+# pixels by which sediments are found), and minimum number of waves in a window.
 SHORTEST, FEWEST = 5.0, 4
-# Power of a wave over the median of its ring. Speckle's powers are exponential: its highest of 4000
-# is 12 medians, and one window in a million reaches 30; recorded and simulated ripples have 200 up.
-# An edge has a quarter as much at a wave number as at half of it, in the same direction, a soft one
-# up to twice as much. Forked crests in a window of eight had but 1.4 times as much: they need a
-# window beside them of nearly the same wave (by the share of its wave number) that is no edge.
+# Minimum power of a wave relative to the median of its ring. Speckle power is exponential: the
+# highest of 4000 is 12 medians, and one window in a million reaches 30; recorded and simulated
+# ripples have 200 or more. Ratio of the power at a wave number to that at half of it, in the same
+# direction, from which it may be and surely is a wave: an edge has a quarter, a soft one up to 2.
+# Forked crests in a window of eight had only 1.4: they need a neighbouring window that is surely
+# not an edge, with nearly the same wave (within this share of its wave number).
 STANDS_OUT, RISES, BESIDE = 40.0, (1.0, 2.0), 0.4
-# Shares of a wave number of which it may be the overtone.
+# A peak may be an overtone of the wave at these shares of its wave number.
 WITHIN = (1.0, 1 / 2, 1 / 3)
-# Share of a window that must be known; windows whose spectra are computed at once.
+# Minimum known share of a window; number of windows whose spectra are computed at once.
 KNOWN, AT_ONCE = 0.25, 64
 # Widths (standard deviation, in wavelengths across and along the crests) over which the phase, the
-# profile and what it explains are averaged.
+# profile and its explained variance are averaged.
 PHASE, PROFILE, NEAR = (0.6, 0.6), (0.5, 1.5), (0.15, 1.0)
-# The widest of all; standard deviations by which an image is padded, at most half of the largest
-# window; and those beyond which a Gaussian's spectrum (1e-5) is as good as 0.
+# The widest of all; padding of an image in standard deviations, at most half of the largest window;
+# and standard deviations beyond which a Gaussian's spectrum (1e-5) is negligible.
 WIDEST, PADDED, REACHES = (1.0, 1.5), 4.0, 4.8
 HARMONICS = 6
-# Share of the scatter of log intensity that a profile leaves, at most, the least amplitude of its
-# fundamental, and by how much it may be stronger than its mean.
+# Maximum share of the variance of log intensity that a profile leaves, minimum amplitude of its
+# fundamental, and maximum local strength relative to the mean profile.
 EXPLAINED, LEAST, STRONGEST = 0.7, 0.15, 2.0
-# Of intensity over the local mean: the least that is kept (20 dB down there is noise alone).
+# Minimum intensity relative to the local mean (20 dB below it there is only noise).
 FLOOR = 0.01
-# Averaged pixels (standard deviation) over which what a profile leaves is smoothed, and widths, in
-# wavelengths, over which it is judged how much of that is more than speckle.
+# Averaged pixels (standard deviation) over which the residual of a profile is smoothed, and widths,
+# in wavelengths, over which its power is compared with that of speckle.
 REST, JUDGED = 1.0, (0.5, 0.5)
-# Radius, in wavelengths, of holes that are closed in what is rippled, and of patches that stay.
+# Radius, in wavelengths, of holes closed in the rippled area, and of the smallest patches kept.
 CLOSED, OPENED = 1.0, 0.5
 
 
 class Waves(NamedTuple):
-    """Ripples as an image shows them.
+    """Ripples as seen in an image.
 
     Attributes
     ----------
     profile : ndarray of float32 (rows, columns)
-        Log of the amplitude that ripples make over that of the same floor flat; 0 where none are.
+        Log of the rippled floor's amplitude relative to the same floor flat; 0 without ripples.
     rippled : ndarray of bool (rows, columns)
     """
 
@@ -79,20 +80,20 @@ class Waves(NamedTuple):
 
 
 def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Waves:
-    """Find ripples in an image and what they do to its amplitude.
+    """Find ripples in an image and their effect on its amplitude.
 
     Parameters
     ----------
     amplitude : ndarray (rows, columns)
         NaN where there is none. Pieces of a survey agree where they begin at multiples of
-        ``LATTICE`` pixels and reach ``MARGIN`` pixels beyond what is asked.
+        ``LATTICE`` pixels and reach ``MARGIN`` pixels beyond `inner`.
     inner : tuple of slice, optional
-        What is asked; default all.
+        Part of the image to return; default all.
 
     Returns
     -------
     Waves
-        Of what is asked.
+        Within `inner`.
     """
     inner = inner or (slice(0, amplitude.shape[0]), slice(0, amplitude.shape[1]))
     rows, columns = (slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
@@ -116,7 +117,7 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
         asked = [s.stop - s.start for s in inner]
         return Waves(np.zeros(asked, np.float32), np.zeros(asked, bool))
     mask = (rippled > 0.5 * np.maximum(weight, 1e-9)) & (known > 0)
-    # as those windows see it that find ripples there
+    # average over the windows that find ripples there
     fine = _fine(np.where(mask, profile / np.maximum(rippled, 1e-9), 0), inner)
     whole = np.repeat(np.repeat(mask, COARSE, axis=0), COARSE, axis=1)
     padded = np.zeros(amplitude.shape, bool)
@@ -133,7 +134,7 @@ def coarse(amplitude: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _intensities(amplitude, side):  # type: ignore[no-untyped-def]
-    """Mean square of what is known of squares; 0 where nothing is."""
+    """Mean square of the known pixels of squares; 0 where there are none."""
     rows, columns = amplitude.shape[0] // side, amplitude.shape[1] // side
     result = np.zeros((rows, columns))
     for r in range(rows):
@@ -150,7 +151,7 @@ def _intensities(amplitude, side):  # type: ignore[no-untyped-def]
 
 
 def _windows(shape: tuple[int, ...], size: int) -> list[tuple[slice, slice]]:
-    """Windows on the lattice; where an image is smaller than one, the image."""
+    """Windows on the lattice; the whole image where it is smaller than one."""
     firsts = [sorted({*range(0, max(n - size, 0) + 1, size // 2), max(n - size, 0)}) for n in shape]
     return [
         (slice(r, min(r + size, shape[0])), slice(c, min(c + size, shape[1])))
@@ -160,7 +161,7 @@ def _windows(shape: tuple[int, ...], size: int) -> list[tuple[slice, slice]]:
 
 
 class _Wave(NamedTuple):
-    """Wave number (cycles per averaged pixel, down and across), and its power over the half's."""
+    """Wave number (cycles per averaged pixel, down and across); power relative to half of it."""
 
     down: float
     across: float
@@ -175,7 +176,7 @@ class _Wave(NamedTuple):
         return self.near(other, BESIDE * hypot(*other.number))
 
     def near(self, other: _Wave, most: float) -> bool:
-        """Whether wave numbers, of which the opposite is the same, differ by so much at most."""
+        """Whether wave numbers differ by at most `most`; opposite ones are the same wave."""
         apart = hypot(self.down - other.down, self.across - other.across)
         mirrored = hypot(self.down + other.down, self.across + other.across)
         return min(apart, mirrored) <= most
@@ -184,9 +185,9 @@ class _Wave(NamedTuple):
 def _waves_about(
     level: FloatArray, known: FloatArray, asked: Part, size: int
 ) -> Iterator[tuple[Part, _Wave]]:
-    """Yield the windows that see what is asked, and their waves, where they have one.
+    """Yield the windows that overlap the requested part and have a wave, with that wave.
 
-    What holds few ripples tells nothing of those that others find in it.
+    Windows with few ripples do not count against those that other windows find there.
     """
     every = _windows(level.shape, size)
     mine = [part for part in every if _overlap(part, asked)]
@@ -201,7 +202,7 @@ def _waves_about(
 
 
 def _all(mask: NDArray[np.bool_], whole: Part, part: Part) -> bool:
-    """Whether a part lies in a window and a mask of that holds all of it."""
+    """Whether a part lies in a window whose mask covers all of it."""
     inside = all(a.start <= b.start and b.stop <= a.stop for a, b in zip(whole, part, strict=True))
     place = (slice(b.start - a.start, b.stop - a.start) for a, b in zip(whole, part, strict=True))
     return inside and bool(mask[tuple(place)].all())
@@ -214,7 +215,7 @@ def _overlap(first: Part, second: Part) -> bool:
 def _waves(
     level: FloatArray, known: FloatArray, parts: Sequence[Part], size: int
 ) -> list[_Wave | None]:
-    """Wave of the ripples in each window."""
+    """Find the wave of the ripples in each window."""
     found: list[_Wave | None] = [None] * len(parts)
     enough = [
         i
@@ -240,9 +241,9 @@ def _waves(
 
 
 def _power(flat: Single) -> FloatArray:
-    """Spectra of images, each mode the mean of the nine about it; across from 0 on."""
+    """Power spectra of images, each mode the mean of the nine around it; across from 0 on."""
     half = np.square(np.abs(rfft2(flat)).astype(float))
-    # beyond both ends lie the modes of the mirrored wave number
+    # beyond both ends are the modes of the mirrored wave number
     rows = -np.arange(flat.shape[1]) % flat.shape[1]
     wide = np.concatenate([half[:, rows, 1:2], half, half[:, rows, -2:-1]], axis=2)
     across = wide[:, :, :-2] + wide[:, :, 1:-1] + wide[:, :, 2:]
@@ -250,7 +251,7 @@ def _power(flat: Single) -> FloatArray:
 
 
 def _peak(power: FloatArray, over: FloatArray, size: int) -> _Wave | None:
-    """Wave number that stands out of its ring, if one does and is no edge's."""
+    """Find the wave number that stands out of its ring, if there is one and it is not an edge."""
     place = int(np.argmax(over))
     if over[place] < STANDS_OUT:
         return None
@@ -262,13 +263,13 @@ def _peak(power: FloatArray, over: FloatArray, size: int) -> _Wave | None:
 
 
 def _mode(place: tuple[Any, ...], size: int) -> NDArray[np.int64]:
-    """Cycles a window, down and across, of a place in half a spectrum."""
+    """Cycles per window, down and across, at an index of half a spectrum."""
     row, column = (int(v) for v in place)
     return np.array([row - size * (row > size // 2), column])
 
 
 def _near(k: NDArray[Any], size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the nine modes about a wave number (cycles a window)."""
+    """Rows and columns of the nine modes about a wave number (cycles per window)."""
     down, across = (np.arange(h - 1, h + 2) for h in np.rint(k).astype(int))
     # a real image has the same power at the opposite wave number
     down = np.where(across[None] < 0, -down[:, None], down[:, None]) % size
@@ -283,7 +284,7 @@ def _about(power: FloatArray, k: NDArray[Any], size: int) -> FloatArray:
 def _summit(
     power: FloatArray, k: NDArray[Any], over: FloatArray, size: int
 ) -> tuple[float, NDArray[np.int64]]:
-    """Climb to the most powerful mode that stands out near a wave number; power there, and it."""
+    """Climb to the strongest mode that stands out near a wave number; return its power and it."""
     ratio = over.reshape(power.shape)
     best = 0.0, np.rint(k).astype(int)
     while True:
@@ -297,25 +298,25 @@ def _summit(
 
 @cache
 def _rings(window: int) -> list[NDArray[np.int64]]:
-    """Places in half a spectrum of the wave numbers that are looked at, by their size."""
+    """Return indices in half a spectrum of the searched wave numbers, grouped by magnitude."""
     down, across = np.fft.fftfreq(window)[:, None], np.fft.rfftfreq(window)
     size = np.hypot(down, across).ravel()
-    # of two opposite wave numbers, one
+    # one of each two opposite wave numbers
     used = ((across > 0) | (down >= 0)).ravel() & (size >= FEWEST / window) & (size <= 1 / SHORTEST)
     ring = np.where(used, np.rint(size * window), -1).astype(int)
     return [np.flatnonzero(ring == radius) for radius in np.unique(ring[used])]
 
 
 class _Along:
-    """Averages that reach farther along crests than across them, of what is known.
+    """Averages of known pixels with different widths along and across crests.
 
-    Spectra are cut where a kernel is as good as 0, in whole columns.
+    Spectra are truncated where a kernel is negligible, in whole columns.
 
     Parameters
     ----------
     known : ndarray (rows, columns)
     wave : (float, float)
-        Cycles a pixel, down and across.
+        Cycles per pixel, down and across.
     """
 
     def __init__(self, known: Single, wave: tuple[float, float]) -> None:
@@ -336,7 +337,7 @@ class _Along:
         return self._length * hypot(across * way[0], along * way[1])
 
     def __call__(self, values: NDArray[Any], across: float, along: float) -> NDArray[Any]:
-        """Average images (..., rows, columns) over Gaussians of so many wavelengths (sd)."""
+        """Average images (..., rows, columns) over Gaussians with widths in wavelengths (sd)."""
         if (across, along) not in self._kernels:
             kernel = self._kernel(across, along)
             count = kernel.shape[1] // 2 + 1
@@ -349,9 +350,9 @@ class _Along:
         return smooth
 
     def _kernel(self, across: float, along: float) -> Single:
-        """Spectrum of a Gaussian: columns from 0 on, then those below 0, as far as it reaches."""
+        """Spectrum of a Gaussian: columns from 0 on, then the negative ones, up to its cut-off."""
         rows, columns = self._shape
-        # the spectrum's spread is widest where the Gaussian's is least
+        # the spectrum is widest where the Gaussian is narrowest
         widest = hypot(self._way[1] / across, self._way[0] / along) / (2 * np.pi * self._length)
         most = min(int(REACHES * widest * columns) + 1, (columns - 1) // 2)
         r = np.fft.fftfreq(rows).astype(np.float32)[:, None]
@@ -371,7 +372,7 @@ class _Along:
         return np.asarray(ifft(wide, axis=-2, overwrite_x=True)[..., : self._known.shape[0], :])
 
     def _smooth(self, values: NDArray[Any], kernel: Single) -> NDArray[Any]:
-        """Convolve; a real image by half of its spectrum, which is all there is."""
+        """Convolve; for a real image half of its spectrum suffices."""
         columns, width = values.shape[-1], self._shape[1]
         count = kernel.shape[1] // 2 + 1
         if not np.iscomplexobj(values):
@@ -391,9 +392,9 @@ def _profile(
     wave: tuple[float, float],
     columns: int = 1,
 ) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
-    """Where ripples are, and their log intensity over that of flat floor.
+    """Mask of ripples, and their log intensity relative to that of flat floor.
 
-    `columns` is the axis of the map's columns: an image may be turned.
+    `columns` is the axis of the map's columns, as the image may be transposed.
     """
     if abs(wave[1]) > abs(wave[0]):  # averages are cheaper where crests run along the rows
         there, total = _profile(level.T, known.T, (wave[1], wave[0]), 1 - columns)
@@ -411,15 +412,15 @@ def _profile(
     wave_once = carrier * first / np.maximum(strength, np.float32(1e-30))
     total = _folded(flat, wave_once, min(HARMONICS, max(int(length / 2.5), 1)), average)
     total = np.maximum(total, np.float32(np.log(FLOOR)))
-    # ripples begin and end within a wavelength: how strong the profile is around each place
+    # ripples begin and end within a wavelength: scale the profile by its local strength
     power, both, before = average(np.stack([total**2, flat * total, flat**2]), *NEAR)
     total *= np.clip(both / np.maximum(power, 1e-9), 0.0, STRONGEST)
     after = average((flat - total) ** 2, *NEAR)
     there = (after < EXPLAINED * before) & (2 * strength > LEAST)
     there = _rounded(there, OPENED * length, CLOSED * length) & (known > 0)
     total += _left_over(flat - total, known, average, columns)
-    # amplitude is linear in slope to first order, and slope has no mean: the mean amplitude over a
-    # wavelength is that of flat floor (the mean intensity is up to 4 dB more)
+    # amplitude is linear in slope to first order, and slope has zero mean: the mean amplitude over
+    # a wavelength is that of flat floor (the mean intensity is up to 4 dB more)
     mean = average(np.exp(0.5 * total), 1.0, 1.0)
     total -= 2 * np.log(np.maximum(mean, FLOOR))
     return there, total * there
@@ -428,7 +429,7 @@ def _profile(
 def _folded(
     flat: Single, wave: NDArray[np.complexfloating], count: int, average: _Along
 ) -> NDArray[np.floating]:
-    """Mean profile by so many harmonics of a wave, whose phase is that of complex numbers."""
+    """Mean profile from `count` harmonics of a wave given as complex phase factors."""
     total = np.zeros(flat.shape, np.float32)
     turn = np.ones_like(wave)
     for _ in range(count):
@@ -439,7 +440,7 @@ def _folded(
 
 
 def _rounded(mask: NDArray[np.bool_], opened: float, closed: float) -> NDArray[np.bool_]:
-    """Open a mask by a disc, then close it by another, as if it went on beyond its edges."""
+    """Open a mask by a disc, then close it by another, as if it continued beyond its edges."""
     kept = _grown(~_grown(~mask, opened), opened)
     pad = int(np.ceil(closed)) + 1
     wide = ~_grown(~_grown(np.pad(kept, pad, "edge"), closed), closed)
@@ -452,7 +453,7 @@ def _grown(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _discs(mask, radius):  # type: ignore[no-untyped-def]
-    """Pixels no farther than a radius from one of a mask."""
+    """Mark pixels within a radius of a mask."""
     rows, columns = mask.shape
     reach = int(radius)
     half = np.array([int(np.sqrt(radius * radius - d * d)) for d in range(reach + 1)])
@@ -480,13 +481,13 @@ def _discs(mask, radius):  # type: ignore[no-untyped-def]
 def _left_over(
     rest: NDArray[np.floating], known: NDArray[np.floating], average: _Along, columns: int
 ) -> Single:
-    """Find what of a profile's rest is more than speckle.
+    """Find the part of a profile's residual that exceeds speckle.
 
-    Where crests cross, fork or turn sharply, no one profile holds: what is then left at the scale
-    of the ripples is the bed's as well. As much of it stays as speckle has.
+    Where crests cross, fork or turn sharply, no single profile holds, and the residual at the scale
+    of the ripples belongs to the bed as well. The speckle's share of it is left in the image.
     """
     smooth = gaussian_filter(rest, REST, mode="nearest")
-    # speckle is what neighbours do not share
+    # speckle is estimated from differences of neighbours
     there = np.moveaxis(known, columns, 1) > 0
     steps = np.diff(np.moveaxis(rest, columns, 1), axis=1)[there[:, 1:] & there[:, :-1]]
     noise = 0.5 * np.square(np.median(np.abs(steps)) / 0.6745) if steps.size else 0.0
@@ -496,14 +497,14 @@ def _left_over(
 
 
 def _fine(coarse: Single, inner: Part) -> Single:
-    """Lay averaged pixels on the pixels that they are of, linear between; part of an image."""
+    """Interpolate averaged pixels linearly to the pixels of a part of an image."""
     rows, columns = (_between(n, s) for n, s in zip(coarse.shape, inner, strict=True))
     return np.asarray(_bilinear(coarse, rows, columns))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _bilinear(values, rows, columns):  # type: ignore[no-untyped-def]
-    """Interpolate at rows and columns: those before, those after, and the share of the latter."""
+    """Interpolate at rows and columns given as (before, after, weight of the latter)."""
     result = np.empty((rows[0].size, columns[0].size), values.dtype)
     for i in range(rows[0].size):
         first, second, share = values[rows[0][i]], values[rows[1][i]], rows[2][i]
@@ -515,7 +516,7 @@ def _bilinear(values, rows, columns):  # type: ignore[no-untyped-def]
 
 
 def _between(n: int, part: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Single]:
-    """Averaged pixels before and after each pixel, and the share of the latter."""
+    """Averaged pixels before and after each pixel, and the weight of the latter."""
     place = np.clip((np.arange(part.start, part.stop) + 0.5) / COARSE - 0.5, 0, n - 1)
     before = place.astype(int)
     share = (place - before).astype(np.float32)

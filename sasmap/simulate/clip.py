@@ -108,7 +108,7 @@ def coherent_cell(
     range_flattened: bool = False,
     blur: float = 0.5,
 ) -> SimulatedClip:
-    """Simulate one cell by coherent facets; the sonar looks east from a straight track.
+    """Simulate one cell with coherent facets; the sonar looks east from a straight track.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def coherent_cell(
     azimuth_off_look : float
         Angle of the crest normal from the look direction, degrees clockwise.
     phase : float, optional
-        At the cell's centre, rad; default random.
+        Phase at the cell's centre, rad; default random.
     near : float
         Ground range of the first column, m.
     altitude, pixel_size : float
@@ -127,7 +127,7 @@ def coherent_cell(
     shape : tuple of int
         Rows and columns.
     law : str or PowerLaw
-        As of :func:`sasmap.simulate.laws.backscatter`.
+        As for :func:`sasmap.simulate.laws.backscatter`.
     profile : {"sine", "stokes", "peaked", "asymmetric"}
     asymmetry : float
     wander, wander_length : float

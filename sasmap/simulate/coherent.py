@@ -62,7 +62,7 @@ class _Grid(NamedTuple):
 
     def rows(self, along: FloatArray) -> IntArray:
         """Nearest rows."""
-        # ties go one way, whatever the rounding of the tile's coordinates
+        # ties always go the same way, whatever the rounding of the tile's coordinates
         return np.rint((along - self.along) / self.row_step + 1e-4).astype(np.int64)
 
     def columns(self, across: FloatArray) -> IntArray:
@@ -102,7 +102,7 @@ def coherent_amplitude(
     shown : ndarray (pixels,)
         Their distance from the track in the image: ground range, or slant range, m.
     key : int
-        Of the speckle; pixels rendered separately with the same key belong to the same image.
+        Key of the speckle; pixels rendered separately with the same key belong to the same image.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def flat_intensity(
     scene : Scene
     scene_pass : ScenePass
     along, shown : ndarray
-        As of :func:`coherent_amplitude`, m.
+        As for :func:`coherent_amplitude`, m.
 
     Returns
     -------
@@ -174,13 +174,13 @@ def _grid(scene: Scene, scene_pass: ScenePass, line: StraightTrack) -> _Grid:
 
 
 def _scattered(scene: Scene, sediment: int, grazing: FloatArray) -> FloatArray:
-    """S(grazing) of a sediment over its value at LEVEL_GRAZING."""
+    """S(grazing) of a sediment relative to its value at LEVEL_GRAZING."""
     law = scene.sediments[sediment].law or scene.law
     return np.asarray(backscatter(law, grazing) / backscatter(law, LEVEL_GRAZING))
 
 
 def _reference(scene: Scene, line: StraightTrack, slant: bool) -> float:
-    """Intensity of flat floor of the first sediment and level 1 at the scene's centre."""
+    """Intensity of flat floor of the first sediment, with level 1, at the scene's centre."""
     centre = line.see(*(np.array([v]) for v in scene.centre))
     grazing = np.arctan2(centre.altitude, centre.ground_range)
     level = float(_scattered(scene, 0, grazing)[0])
@@ -210,7 +210,7 @@ def _strip(what: _Pass, rows: IntArray, columns: IntArray) -> FloatArray:
     sine[np.isnan(shown)] = 0.0
     inner = slice(HALO, -HALO)
     power = _power(what, sine, (x[inner, inner], y[inner, inner]), across, facets)
-    # each facet adds its power times that of the point spread function, which sums to one
+    # each facet adds its power times that of the point spread function, whose sum is one
     sigma = grid.sigma / grid.column_step
     amplitude = np.sqrt(power * area / (sigma * np.sqrt(np.pi)))
     place = (shown - grid.across) / grid.column_step - left
@@ -226,7 +226,7 @@ def _strip(what: _Pass, rows: IntArray, columns: IntArray) -> FloatArray:
 
 
 def _facet_columns(what: _Pass, near: float, far: float, altitude: FloatArray) -> IntArray:
-    """Columns of facets that appear between two ranges of the image, or may shadow those."""
+    """Columns of facets that appear between two ranges of the image, or may shadow these."""
     relief, margin = what.floor.relief, (REACH + 1) * what.grid.sigma + what.grid.column_step
     low, high = float(altitude.min()), float(altitude.max())
     near, far = max(near - margin, 0.0), far + margin
@@ -236,7 +236,7 @@ def _facet_columns(what: _Pass, near: float, far: float, altitude: FloatArray) -
     else:
         first = near**2 - 2 * high * relief - relief**2
         last = far**2 + 2 * high * relief
-    # farthest distance behind a crest that it can shadow (rays over both extremes)
+    # nearest range of a crest that can shadow the first facet (rays over both extremes)
     sight = np.sqrt(max(first, 0.0)) * max(low - relief, 0.0) / (low + relief)
     step, offset = what.grid.column_step, what.grid.across
     start = int(np.ceil((max(sight, 0.5 * step) - offset) / step))
@@ -251,7 +251,7 @@ def _power(
     rows: IntArray,
     columns: IntArray,
 ) -> FloatArray:
-    """Backscattered intensity per area of floor over the reference, texture included."""
+    """Backscattered intensity per area of floor relative to the reference, texture included."""
     scene = what.scene
     index = what.floor.sediment(*points)
     power = np.zeros_like(sine)

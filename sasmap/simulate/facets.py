@@ -1,9 +1,10 @@
 """Compiled inner loops of coherent scenes: line of sight, random numbers, summation.
 
-All in one file: numba caches compiled code on disk per file and misses changes in others.
+They are all in one file: numba caches compiled code on disk per file and misses changes in others.
 
 Random numbers are counter-based: each is a hash (SplitMix64: Steele, Lea & Flood 2014) of a key and
-of its place on the sea floor or in the image, so that any part of a pass can be rendered by itself.
+of its place on the sea floor or in the image, so that any part of a pass can be rendered
+separately.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Truncation of the point spread function, standard deviations (1e-14 of its power is beyond).
+# Truncation of the point spread function, standard deviations (1e-14 of its power lies beyond).
 REACH = 5.5
 # Margin of grid points for differences of fourth order.
 HALO = 2
@@ -96,7 +97,7 @@ def patch_texture(
     Parameters
     ----------
     key : uint64
-        Of the stream of random numbers.
+        Key of the stream of random numbers.
     rows, columns : ndarray of int64
         Indices of the patches; the same patch always gets the same texture.
     nu : float
@@ -126,22 +127,22 @@ def see_facets(
     Parameters
     ----------
     elevation : ndarray (rows + 2 HALO, columns + 2 HALO)
-        Height h of the sea floor, m, with a margin all round.
+        Height h of the sea floor, m, with a margin on all sides.
     ground_range : ndarray (columns,)
         Increasing and above 0, m.
     altitude : ndarray (rows,)
-        Of the array over h = 0, m.
+        Altitude of the array above h = 0, m.
     steps : tuple of float
         Spacing of rows and of columns, m.
     slant : bool
-        Whether the image is one of slant range.
+        Whether the image is in slant range.
 
     Returns
     -------
     sine, area, shown : ndarray (rows, columns)
         Sine of the local grazing angle, 0 where a facet faces away or lies in shadow (a nearer one
-        has a larger (h - altitude) / range); area of the facet over its map area; range at which
-        its echo appears in the image, m, NaN where there is none.
+        has a larger (h - altitude) / range); ratio of the facet's area to its map area; range at
+        which its echo appears in the image, m, NaN where there is none.
     """
     rows, columns = altitude.size, ground_range.size
     sine, area, shown = np.empty((3, rows, columns))
@@ -185,14 +186,14 @@ def sum_rows(
     amplitude : ndarray (rows, facets)
         Root mean square of the facets' echoes; 0 for none.
     shown : ndarray (rows, facets)
-        Where they appear, in columns from the image's first.
+        Positions at which they appear, in columns from the image's first.
     key : uint64
     first : tuple of int
         Row and column of the first facet on the grid of the pass.
     sigma : float
         Standard deviation of the point spread function, columns.
     columns : int
-        Of the image.
+        Number of columns of the image.
 
     Returns
     -------
@@ -234,7 +235,7 @@ def take_pixels(
     first: tuple[int, int],
     noise: float,
 ) -> FloatArray:
-    """Sum along the track and add receiver noise at the pixels of an image.
+    """Sum echoes along the track and add receiver noise at the pixels of an image.
 
     Parameters
     ----------

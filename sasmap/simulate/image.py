@@ -24,7 +24,7 @@ from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
 
 FloatArray = NDArray[np.float64]
 
-# Step of the lines of sight over range, pixels (a choice: finer than what a pixel resolves).
+# Step of the lines of sight over range, pixels (a choice: finer than a pixel resolves).
 SIGHT_STEP = 0.5
 # Lines of sight start this far before the nearest pixel, m: no ripple's shadow is longer.
 SIGHT_REACH = 40.0
@@ -54,7 +54,7 @@ def record(
     shape : tuple of int
         Rows and columns.
     rng : Generator
-        With coherent physics, tiles of a pass given equal generators meet without a seam.
+        With coherent physics, tiles of a pass with equal generators meet without a seam.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def _shadow(
     ranges = np.arange(start, float(view.ground_range.max()) + pixel, SIGHT_STEP * pixel)
     first = float(view.along.min())
     place = (view.along - first) / pixel
-    # at oblique looks pixels lie between lines of sight, which are then closer
+    # at oblique looks pixels lie between lines of sight, so these are closer together
     apart = pixel if np.abs(place - np.rint(place)).max() < 1e-3 else 0.5 * pixel
     rows = np.arange(first, float(view.along.max()) + pixel, apart)
     highest = np.empty((rows.size, ranges.size))
@@ -181,7 +181,7 @@ def _shadow(
     place = np.clip((view.along - first) / apart, 0, rows.size - 1)
     row = np.minimum(np.floor(place + 1e-3).astype(np.int64), max(rows.size - 2, 0))
     share = np.maximum(place - row, 0)
-    # at least half a step before the pixel: the second test covers what is nearer
+    # at least half a step before the pixel: the second test covers nearer points
     before = np.floor((view.ground_range - start) / (SIGHT_STEP * pixel) - 0.5 + 1e-6).astype(int)
     rise = (floor.elevation(waves) - view.altitude) / view.ground_range
     column = np.clip(before, 0, ranges.size - 1)
@@ -245,6 +245,6 @@ def _quantised(field: FloatArray, scene_pass: ScenePass) -> NDArray[np.generic]:
     dtype = scene_pass.dtype
     value = field * (scene_pass.gain or FILL[dtype])
     missing = np.isnan(value)
-    if dtype != "float32":  # 0 is nodata, so what is seen starts at 1
+    if dtype != "float32":  # 0 is nodata, so valid pixels start at 1
         value = np.clip(np.rint(np.nan_to_num(value)), 1, np.iinfo(dtype).max)
     return np.where(missing, NODATA[dtype], value).astype(dtype)

@@ -11,14 +11,14 @@ from pydantic import BaseModel, ConfigDict, Field
 FloatArray = NDArray[np.float64]
 Law = Literal["lambert", "gaussian", "rough", "volume"]
 
-# Rms slope of the roughness of the Kirchhoff peak, and peak over the rest at normal incidence (5
-# dB): chosen so that the law differs from all others on the slopes of ripples.
+# Rms slope of the roughness of the Kirchhoff peak, and ratio of the peak to the rest at normal
+# incidence (5 dB): chosen so that the law differs from all others on the slopes of ripples.
 ROUGH_SLOPE = float(np.tan(np.radians(15.0)))
 ROUGH_PEAK = 3.0
-# Medium sand: density and sound speed over water's, loss parameter (APL-UW TR 9407, table 2).
+# Medium sand: density and sound speed relative to water, loss parameter (APL-UW TR 9407, table 2).
 DENSITY, SPEED, LOSS = 1.85, 1.15, 0.0166
-# Interface over volume scattering at normal incidence: small, so that volume scattering dominates,
-# but positive beyond the critical angle (a choice).
+# Ratio of interface to volume scattering at normal incidence: small, so that volume scattering
+# dominates, but positive beyond the critical angle (a choice).
 SURFACE_SHARE = 0.03
 
 
@@ -32,7 +32,7 @@ class PowerLaw(BaseModel):
 
 
 def backscatter(law: Law | PowerLaw, grazing: ArrayLike) -> FloatArray:
-    """Intensity that a facet scatters back per area.
+    """Intensity backscattered by a facet, per area.
 
     Parameters
     ----------

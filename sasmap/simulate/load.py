@@ -1,4 +1,4 @@
-"""Reading of scene files; separate from the scene's model, which does not depend on surveys."""
+"""Reading of scene files, separate from the scene's model, which does not depend on surveys."""
 
 from __future__ import annotations
 

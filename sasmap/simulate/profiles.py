@@ -1,4 +1,4 @@
-"""Crest profiles of simulated ripples; crest to trough is 2 A_H in each."""
+"""Crest profiles of simulated ripples; the height from crest to trough is 2 A_H in each."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 CrestProfile = Literal["sine", "stokes", "peaked", "asymmetric"]
-# Those that the published physics renders.
+# Profiles that the published physics can render.
 PUBLISHED_PROFILES = ("sine", "stokes", "peaked")
 
 
 def crest(
     phase: ArrayLike, steepness: ArrayLike, profile: CrestProfile, asymmetry: float = 0.0
 ) -> FloatArray:
-    """Sea-floor height over A_H.
+    """Sea-floor height relative to A_H.
 
     Parameters
     ----------
     phase : array_like
         Ripple phase, rad; the crest is at pi/2 (asymmetric: where phase + a sin(phase) is).
     steepness : array_like
-        2 pi f A_H, which the Stokes profile depends on.
+        2 pi f A_H, on which the Stokes profile depends.
     profile : {"sine", "stokes", "peaked", "asymmetric"}
         sin p; second-order Stokes, sin p - pi f A_H cos 2p; 2 ((1 + sin p) / 2)^2 - 1 with narrow
         crests; sin(p + a sin p), which rises more steeply along the crest normal than it falls.

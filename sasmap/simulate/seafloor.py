@@ -14,7 +14,7 @@ from sasmap.simulate.scene import RipplePatch, Scene
 
 FloatArray = NDArray[np.float64]
 
-# Random waves summed to a Gaussian field: its excess kurtosis is -1.5 / WAVES = -0.006.
+# Number of random waves summed to a Gaussian field: its excess kurtosis is -1.5 / WAVES = -0.006.
 WAVES = 256
 # Grid points per correlation length of the wander: the error of cubic interpolation is then 1e-5
 # of its rms.
@@ -55,7 +55,7 @@ def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> NDArray[np.
     Parameters
     ----------
     x, y : ndarray
-        Points, m, of one shape.
+        Points, m, of the same shape.
     polygon : ndarray (n, 2)
         Vertices, m.
 
@@ -78,7 +78,7 @@ def edge_distance(x: FloatArray, y: FloatArray, polygon: FloatArray) -> FloatArr
     Parameters
     ----------
     x, y : ndarray
-        Points, m, of one shape.
+        Points, m, of the same shape.
     polygon : ndarray (n, 2)
         Vertices, m.
 
@@ -144,14 +144,14 @@ class SeaFloor:
         return index
 
     def waves(self, x: FloatArray, y: FloatArray) -> Waves:
-        """Ripple phase, wave vector and height at map points, of the highest system."""
+        """Ripple phase, wave vector and height of the highest system at map points."""
         first, *added = self.systems(x, y)
         for one in added:
             first = first.where(one, one.height > first.height)
         return first
 
     def second(self, x: FloatArray, y: FloatArray) -> Waves:
-        """As :meth:`waves`, of the second highest system."""
+        """Like :meth:`waves`, for the second highest system."""
         first, *added = self.systems(x, y)
         second = _no_waves(np.shape(x))
         for one in added:
@@ -167,12 +167,12 @@ class SeaFloor:
         Parameters
         ----------
         x, y : ndarray
-            Map points, m, of one shape.
+            Map points, m, of the same shape.
 
         Returns
         -------
         list of Waves
-            Of the patches that cover each other, then of each that is added.
+            One for the patches that cover each other, then one for each added patch.
         """
         shape = np.shape(x)
         found = [_no_waves(shape)]
@@ -183,7 +183,7 @@ class SeaFloor:
         return found
 
     def _lay(self, waves: Waves, k: int, x: FloatArray, y: FloatArray) -> None:
-        """Cover the waves of other patches by a patch."""
+        """Replace the waves of other patches by those of a patch, within its polygon."""
         patch, polygon = self._scene.ripples[k], self._patches[k]
         inside = np.ones(np.shape(x), bool) if polygon is None else in_polygon(x, y, polygon)
         if not inside.any():
@@ -253,7 +253,7 @@ class SeaFloor:
 
     @property
     def relief(self) -> float:
-        """Upper bound of the height over or under the mean sea floor, m."""
+        """Upper bound of the height above or below the mean sea floor, m."""
         highest, added = 0.0, 0.0
         for patch in self._scene.ripples:
             # the Stokes term, with a margin for crests that wander to twice the wave number
@@ -277,7 +277,7 @@ class SeaFloor:
         return result
 
     def surface(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Height of the sea floor over its mean at map points, all systems of ripples, m."""
+        """Height of the sea floor above its mean at map points, all systems of ripples, m."""
         first, *added = self.systems(x, y)
         height = self.elevation(first)
         for one in added:
@@ -291,7 +291,7 @@ def _no_waves(shape: tuple[int, ...]) -> Waves:
 
 
 def _wander(scene: Scene, k: int, patch: RipplePatch) -> _Wander | None:
-    """Sum random plane waves with Gaussian wave numbers: a Gaussian correlation."""
+    """Sum random plane waves with Gaussian wave numbers, for a Gaussian correlation."""
     if patch.wander == 0:
         return None
     rng = np.random.default_rng(np.random.SeedSequence([scene.seed, 101, k]))

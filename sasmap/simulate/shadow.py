@@ -1,9 +1,9 @@
-"""Where shadow begins and ends along a ripple, for any ripple and geometry, as one table.
+"""Limits of shadow along a ripple, for any ripple and geometry, in a single table.
 
 A point is hidden where the floor before it rises above the straight ray to the sonar, a line of
 slope s = (altitude - h) / range. In units of phase and A_H its slope is s / (2 pi f A_H cos alpha).
-For any range, altitude and look, the phases past the crest where shadow begins and ends depend on
-this ratio alone (and on the steepness, for a Stokes profile).
+For any range, altitude and look, the phases past the crest where shadow begins and ends depend only
+on this ratio (and on the steepness, for a Stokes profile).
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def shadow_table(rule: ShadowRule, profile: ProfileName) -> FloatArray:
     Returns
     -------
     ndarray (STEEPNESSES or 1, 3, RATIOS)
-        Over steepness, evenly up to MAX_STEEPNESS: the phase past the crest where shadow begins,
-        the phase where it ends, rad, and (first value of the third row) the ratio beyond which
-        there is none. Along the last axis the ratio over that limit is sin(pi x / 2)^2 with x
-        evenly from 0 to 1, which makes both ends nearly linear.
+        For steepnesses at even steps up to MAX_STEEPNESS: the phase past the crest where shadow
+        begins, the phase where it ends, rad, and (third row) the limiting ratio above which there
+        is no shadow. Along the last axis the ratio relative to that limit is sin(pi x / 2)^2 with x
+        evenly from 0 to 1, which makes both phases nearly linear.
     """
     steepness = np.linspace(0, MAX_STEEPNESS, STEEPNESSES) if profile == "stokes" else np.zeros(1)
     return np.stack([_for_steepness(rule, profile, float(e)) for e in steepness])
@@ -61,7 +61,7 @@ def _for_steepness(rule: ShadowRule, profile: ProfileName, steepness: float) -> 
         edges = np.array([_edges(past, m) for m in margin])
     else:
         edges = np.array([_sight_edges(past, height + r * past) for r in ratio])
-    # exact at both ends: from crest to crest, and nowhere
+    # exact at both ends: shadow from crest to crest, and none
     edges[0] = (0.0, 2 * np.pi)
     edges[-1] = edges[-2].mean()
     return np.stack([edges[:, 0], edges[:, 1], np.full(RATIOS, limit)])
@@ -101,7 +101,7 @@ def _sight_edges(past: FloatArray, line: FloatArray) -> tuple[float, float]:
 
 
 def _zero(past: FloatArray, margin: FloatArray, i: int) -> float:
-    """Where a straight line between points i and i + 1 is zero."""
+    """Zero of the straight line between points i and i + 1."""
     if i + 1 >= past.size:
         return float(past[-1])
     change = float(margin[i] - margin[i + 1])
@@ -119,12 +119,12 @@ def shadow_mask(
     profile: ProfileName,
     rule: ShadowRule,
 ) -> NDArray[np.bool_]:
-    """Find which points of straight ripples are in shadow, by the table.
+    """Find which points of straight ripples are in shadow, from the table.
 
     Parameters
     ----------
     phase : ndarray
-        Of the ripple at the points, rad, along the look.
+        Ripple phase at the points, rad, along the look.
     ground_range : ndarray
         m.
     altitude : float

@@ -39,9 +39,9 @@ def straight_clip(
     frequency, height : float
         f (cycles/m) and A_H (m).
     azimuth : float
-        Of the crest normal, degrees clockwise from north; the look's is 90.
+        Azimuth of the crest normal, degrees clockwise from north; that of the look is 90.
     phase : float
-        Of the ripple at the clip's centre along the look direction, rad.
+        Ripple phase at the clip's centre along the look direction, rad.
     near : float
         Ground range of the first column, m.
     altitude, pixel_size : float
@@ -50,11 +50,12 @@ def straight_clip(
     profile : {"sine", "stokes", "peaked"}
     shadow : {"line-of-sight", "crest"}
     noise : float
-        Intensity of the receiver noise over that of flat sea floor.
+        Intensity of the receiver noise relative to that of flat sea floor.
     nu : float
         Shape of the speckle's texture; infinite for none.
     correlation : float
-        Of the speckle, pixels (standard deviation of the Gaussian filter of the complex field).
+        Correlation of the speckle, pixels (standard deviation of the Gaussian filter of the complex
+        field).
     lambert : bool
         Scatter by Lambert's law, squared sine of the local grazing angle, instead of sigma_s.
 
@@ -69,7 +70,7 @@ def straight_clip(
     if np.cos(turn) < 0:
         turn += np.pi
     along, across = frequency * np.cos(turn), frequency * np.sin(turn)
-    # across the look to its right is south
+    # to the right of the look is south
     place = along * (x - x.mean()) - across * (y - y.mean())
     angle = 2 * np.pi * place + phase
     steepness = 2 * np.pi * frequency * height

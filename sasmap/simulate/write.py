@@ -34,7 +34,7 @@ TRUTH_PIXELS = 10
 
 
 class Raster(NamedTuple):
-    """Where a raster lies."""
+    """Position and size of a raster."""
 
     transform: Affine
     rows: int

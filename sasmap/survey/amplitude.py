@@ -25,11 +25,11 @@ from sasmap.survey.lattice import FloatArray
 Kind = Literal["linear", "intensity", "db"]
 KINDS: tuple[Kind, ...] = ("linear", "intensity", "db")
 
-# Pixels a side of a block: large enough for a standard error of 0.03 of its contrast, and smaller
+# Side of a block in pixels: large enough for a standard error of 0.03 of its contrast, and smaller
 # than a quarter of most wavelengths.
 BLOCK = 16
-# Fewest blocks for a judgement: the scatter of the quartile of fewer exceeds the tolerance of the
-# limits (measured on Rayleigh speckle).
+# Minimum number of blocks for a judgement: with fewer, the scatter of the quartile exceeds the
+# tolerance of the limits (measured on Rayleigh speckle).
 FEWEST_BLOCKS = 6
 # Contrast (standard deviation over mean, lower quartile of the blocks) that amplitude can have.
 # Measured: Rayleigh speckle 0.51, K-distributed with shape 1 0.75, with shape 0.5 (which is the
@@ -40,13 +40,13 @@ CONTRAST = (0.465, 0.85)
 # 1.1 times that (1.2 with few shadows); for intensity it is 1.7 times (measured on simulated
 # tiles).
 SHADOWED, MOST_SHADOWED = 1.4, 2.5
-# Number of blocks for which the limits hold, and allowance for the scatter of the quartile of
+# Number of blocks for which the limits hold, and allowance for the scatter of the quartile with
 # fewer.
 SURE_BLOCKS, STRAY = 60, 0.035
-# Within a block, correlated speckle varies less than its true variance: corrected by the
-# correlation area, summed up to so many pixels, over so many blocks at most.
+# Within a block, correlated speckle varies less than its true variance. Maximum lag in pixels of
+# the correlation area that corrects for it, and maximum number of blocks it is computed from.
 LAGS, CORRELATED_BLOCKS = 5, 400
-# Least skewness of the blocks with lowest contrast. Rayleigh 0.55, correlated over four pixels
+# Minimum skewness of the blocks with lowest contrast. Rayleigh 0.55, correlated over four pixels
 # 0.25, uniform (an equalised histogram) 0, compressed highlights 0.2 and less.
 SKEWNESS = 0.22
 # Skewness that separates averaged intensity of amplitude's contrast: four looks 0.85, Rayleigh
@@ -63,7 +63,7 @@ CLIPPED = 0.02
 # Skewness of the blocks with lowest contrast below which values may be decibels of the usual scale:
 # those have -0.95, equalised images -0.35, saturated or compressed ones more.
 DECIBELS = -0.45
-# Least mean of a block in grey levels: below, rounding determines the contrast.
+# Minimum mean of a block in grey levels: below, rounding determines the contrast.
 FEWEST_STEPS = 4.0
 # Number of distinct values of a tile, and grey levels of its median block, below which rounding
 # loses contrast.
@@ -146,7 +146,7 @@ class Speckle:
 
     @property
     def least_contrast(self) -> float:
-        """Least possible contrast of amplitude, with an allowance for few blocks."""
+        """Minimum contrast possible for amplitude, with an allowance for few blocks."""
         return CONTRAST[0] - (STRAY if self.blocks < SURE_BLOCKS else 0.0)
 
     @property
@@ -167,7 +167,7 @@ def to_linear(values: NDArray[np.floating], kind: Kind) -> NDArray[np.floating]:
     Returns
     -------
     ndarray
-        NaN where a value is no amplitude: negative, unless decibels.
+        NaN where a value is not an amplitude: negative, unless in decibels.
     """
     if kind == "db":
         bounded = np.where(np.abs(values) <= LARGEST_DB, values, np.nan)
@@ -241,14 +241,14 @@ def _blocks(piece: FloatArray) -> FloatArray:
 
 
 def judge(sample: Sample, kind: Kind) -> Iterator[Verdict]:
-    """Check a tile's pixel values against what the survey file says they are.
+    """Check a tile's pixel values against the kind stated in the survey file.
 
     Parameters
     ----------
     sample : list of ndarray
         Pieces of a tile as stored, scale and offset applied, NaN where nodata or fill.
     kind : {"linear", "intensity", "db"}
-        What the survey file says they are.
+        The kind stated in the survey file.
 
     Yields
     ------
@@ -393,11 +393,11 @@ def _name(kind: Kind) -> str:
 # of zeros at the blocks' own offset to that at others (speckle at most 2, quality 95 at least 6),
 # and its significance in standard deviations (speckle at most 10, JPEG at least 46).
 JPEG_SIDE, JPEG_RATIO, JPEG_SIGMAS = 8, 3.5, 20.0
-# Coefficients that count as zero (rounding to whole grey levels has sd 0.29), and least spread of a
-# block, well above that.
+# Magnitude below which coefficients count as zero (rounding to whole grey levels has sd 0.29), and
+# minimum spread of a block, well above that.
 JPEG_ZERO, JPEG_SPREAD = 0.5, 4.0
-# Most pixels a side of a piece that is examined, fewest for a judgement, and most pieces: bound the
-# time.
+# Maximum side in pixels of an examined piece, minimum side for a judgement, and maximum number of
+# pieces: these bound the time.
 JPEG_MOST, JPEG_LEAST, JPEG_PIECES = 136, 40, 6
 
 

@@ -11,7 +11,7 @@ from rasterio.enums import ColorInterp
 
 from sasmap.errors import InputError
 
-# Pixels a side, and number, of the windows along the tile's diagonal in which colours are compared
+# Side in pixels, and number, of the windows along the tile's diagonal in which colours are compared
 # (a choice: a sample is enough, as a colour image has colours nearly everywhere).
 SIDE, WINDOWS = 64, 9
 

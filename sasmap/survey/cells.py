@@ -44,7 +44,7 @@ class CellGrid:
         Side of a cell, m.
     rows, columns : int
     spacing : float
-        From cell to cell, m; cells overlap where it is smaller than their size.
+        Distance from cell to cell, m; cells overlap where it is smaller than their size.
     """
 
     crs: str
@@ -63,7 +63,7 @@ class CellGrid:
         return Affine(self.spacing, 0.0, place[0], 0.0, -self.spacing, place[1])
 
     def pixels(self, window: int) -> Affine:
-        """Affine of rasters with `window` by `window` pixels per cell, of cells side by side."""
+        """Affine of rasters with `window` by `window` pixels per cell, for adjacent cells."""
         step = self.size / window
         return Affine(step, 0.0, self.left, 0.0, -step, self.top)
 
@@ -90,7 +90,7 @@ class CellGrid:
                 yield Cell(row, column)
 
     def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
-        """Whether map points lie in a cell; of cells side by side, each lies in exactly one."""
+        """Whether map points lie in a cell; with adjacent cells, each lies in exactly one."""
         right, down = (x - self.left) / self.spacing + 1e-9, (self.top - y) / self.spacing + 1e-9
         reach = self.size / self.spacing
         across = (right >= cell.column) & (right < cell.column + reach)
@@ -183,8 +183,8 @@ def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
     Raises
     ------
     InputError
-        For a geographic CRS, one in other units than metres, or one that stretches distances here
-        by more than 2 % (Web Mercator does).
+        For a geographic CRS, one in units other than metres, or one that stretches distances here
+        by more than 2 % (as Web Mercator may).
     """
     advice = "choose a projected CRS in metres, such as the UTM zone of the survey"
     if not crs.is_projected:

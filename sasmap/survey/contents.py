@@ -17,11 +17,11 @@ from sasmap.survey.lattice import FloatArray, Window
 from sasmap.survey.sidecars import unread
 from sasmap.survey.tiles import Tile, open_geotiff, read_numbers
 
-# Pixels a side of the windows whose values are judged, and windows a side of the tile: 36 windows
-# give over 2000 blocks.
+# Side in pixels of the windows whose values are checked, and windows along each side of the tile:
+# 36 windows give over 2000 blocks.
 SIDE, WINDOWS = 128, 6
-# Largest harmless error of a compression, over the median: uniform over twice its size, it adds
-# under 1 % to the variance of speckle.
+# Largest harmless error of a compression, relative to the median: uniform over twice its size, it
+# adds under 1 % to the variance of speckle.
 LARGEST_LOSS = 0.05
 
 
@@ -72,7 +72,7 @@ def look_into(tile: Tile) -> tuple[Tile, list[str], list[str]]:
 
 
 def _loss(source: rasterio.DatasetReader) -> tuple[str, float | None]:
-    """Name a lossy compression, and its largest error where it has one; empty for others."""
+    """Name a lossy compression, and its maximum error where known; empty if it is lossless."""
     told = source.tags(ns="IMAGE_STRUCTURE")
     name = told.get("COMPRESSION", "")
     if "LERC" in name:

@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 
 from sasmap.survey.lattice import FloatArray
 
-# Pixels a side of large and small blocks, and the share of the blocks, the narrowest ones, that are
-# used: they have the least structure of the sea floor.
+# Side in pixels of large and small blocks, and the share of the blocks that are used: the narrowest
+# ones, which have the least structure of the sea floor.
 LARGE, SMALL, SHARE = 16, 8, 0.25
 # Quantiles of log amplitude that define its width and skewness (a choice: robust to rounding).
 QUANTILES = (0.1, 0.5, 0.9)
 # Width in large blocks of Rayleigh speckle, from a simulation of 961 blocks.
 RAYLEIGH_WIDTH = 1.419
-# Least mean of a block in grey levels: below, rounding determines the tenth percentile.
+# Minimum mean of a block in grey levels: below, rounding determines the tenth percentile.
 FEWEST_STEPS = 8.0
-# Fewest large blocks: the scatter of the skewness of fewer exceeds the margin of the limits (0.01
-# at 200).
+# Minimum number of large blocks: with fewer, the scatter of the skewness exceeds the margin of the
+# limits (0.01 at 200).
 FEWEST_BLOCKS = 200
 # Limits from 60 simulated ripple fields (wavelengths of 12 to 140 pixels, slopes of 0.02 to 0.35,
-# K shapes of 1.5 and more, three noise levels), each as it is and with gamma 1.2. As they are, the
+# K shapes of 1.5 and more, three noise levels), each unchanged and with gamma 1.2. Unchanged, the
 # width is under 1.62 or the skewness above -0.16, or shadows give a skewness under -0.23 or a ratio
 # of widths under 0.86. With gamma 1.2 on speckle without texture: 1.75, -0.19 and 0.91.
 WIDTH, SKEWNESS, RATIO = 1.63, (-0.225, -0.165), 0.88
@@ -47,9 +47,9 @@ class LogShape(NamedTuple):
     blocks : int
         Number of blocks, before the narrowest were chosen.
     width : float
-        From the first to the last quantile.
+        Distance from the first to the last quantile.
     skewness : float
-        Bowley's, from the quantiles, -1 to 1.
+        Bowley's skewness, from the quantiles, -1 to 1.
     """
 
     blocks: int
@@ -92,7 +92,7 @@ def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
     ----------
     sample : list of ndarray (rows, columns)
     side : int
-        Pixels a side of a block.
+        Side of a block in pixels.
     step : float
         Smallest difference between two values; rounding to it is dithered.
     """

@@ -19,26 +19,28 @@ from numpy.typing import NDArray
 
 from sasmap.survey.lattice import Window
 
-# Pixels a side of the blocks that are tested for one value: small enough for a thin frame.
+# Side in pixels of the blocks that are tested for one value: small enough for a thin frame.
 BLOCK = 4
 # Pixels of each block that are compared: corners and two inside. In speckle all of them are equal
 # in one block of a million, and such blocks are not adjacent.
 PROBES = ((0, 0), (0, 3), (3, 0), (3, 3), (1, 2), (2, 1))
-# Least area, pixels, and how far along the tile's edge it must reach, pixels or a fraction of the
-# edge. A shadow of exactly zero that meets the edge is smaller: ripples that fit into a cell of 500
-# pixels three and a half times have shadows of under 70 pixels.
+# Minimum area, pixels, and minimum contact with the tile's edge, pixels or a fraction of the edge.
+# A shadow of exactly zero that meets the edge is smaller: ripples of which three and a half
+# wavelengths fit into a cell of 500 pixels have shadows of under 70 pixels.
 LEAST_AREA, LEAST_CONTACT, LEAST_FRACTION = 1024, 96, 0.125
-# Most values that are tried, those with the longest edge first: tiles have one or two fill values.
+# Maximum number of values tried, those most frequent along the edge first: tiles have one or two
+# fill values.
 MOST_VALUES = 4
-# Nearly black: all probes of a block are below this share of the usual largest one. Speckle does
-# that in one block of ten million.
+# Nearly black: all probes of a block are below this share of the usual largest one. In speckle this
+# happens in one block of ten million.
 BLACK = 0.2
-# Windows a side, and their pixels a side, from which the usual largest probe is estimated.
+# Windows along each side of the tile, and their side in pixels, from which the usual largest probe
+# is estimated.
 WINDOWS, SIDE = 3, 64
 # Skewness of the noise in shadow and water: Rayleigh's 0.63, rounded to whole grey levels.
 NOISE_SKEWNESS = (0.3, 0.9)
-# Least depth of fill at the edge over the width of shadows within the tile, and the quantile of
-# that width over blocks.
+# Minimum ratio of the depth of fill at the edge to the width of shadows within the tile, and the
+# quantile of that width over blocks.
 DEEPER, WIDEST = 1.5, 0.9
 # Depth, in blocks from the edge, over which the distribution of values is computed.
 RIM = 8
@@ -48,14 +50,14 @@ READ_BYTES = 2**26
 
 @dataclass(frozen=True)
 class Fill:
-    """Where a tile holds fill.
+    """Fill of one value in a tile.
 
     Attributes
     ----------
     value : float
         As stored.
     rows, columns : int
-        Blocks.
+        Number of blocks.
     packed : bytes
         One bit per block: fill, or adjacent to fill.
     area : int
@@ -189,7 +191,7 @@ def _rim(
 
 
 def _usual_width(dark: NDArray[np.bool_]) -> float:
-    """Length of the usual run of dark blocks down the columns, among runs that begin within."""
+    """Usual length of runs of dark blocks down the columns, among runs inside the tile."""
     # a bright row between columns separates their runs
     column = np.zeros((dark.shape[1], dark.shape[0] + 1), np.int8)
     column[:, :-1] = dark.T

@@ -15,15 +15,15 @@ from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 # Largest difference, dB, between overlapping tiles, and between the two sides of a seam, which are
 # not the same sea floor (choices: 1 dB of gain is 12 % of amplitude).
 OVERLAP_DB, SEAM_DB = 1.0, 3.0
-# Least significance of a difference, in standard errors of the mean of speckle, and independent
+# Minimum significance of a difference, in standard errors of the mean of speckle, and independent
 # samples per pixel (speckle correlated over two pixels in each direction).
 ERRORS, INDEPENDENT = 4.0, 0.25
 # Decibels per unit of relative change of intensity.
 DB = 10.0 / np.log(10.0)
-# Pixels a side of the compared pieces, widths of strips along a seam (a crest or trough that runs
-# along it fills the narrow one, not the wide one), and fewest pixels (400 give a gain to 0.4 dB).
+# Side in pixels of the compared pieces, widths of strips along a seam (a crest or trough along it
+# fills the narrow one, not the wide one), and minimum number of pixels (400 give a gain to 0.4 dB).
 SIDE, STRIPS, LEAST = 192, (24, 192), 400
-# Most pairs of tiles that are compared: bounds the time, as each opens a file twice.
+# Maximum number of pairs of tiles that are compared: bounds the time, as each opens a file twice.
 MOST_PAIRS = 3000
 
 
@@ -93,7 +93,7 @@ def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:
 
 
 def _meeting(first: Tile, second: Tile) -> tuple[float, float, str]:
-    """Difference between strips along a seam: of those of all widths the least."""
+    """Difference between strips along a seam: the smallest over all strip widths."""
     found = [_at_seam(first, second, width) for width in STRIPS]
     if min(f[0] for f in found) < 0 < max(f[0] for f in found):
         return 0.0, SEAM_DB, ""
@@ -115,7 +115,7 @@ def _at_seam(first: Tile, second: Tile, width: int) -> tuple[float, float, str]:
 
 
 def _difference(a: Amplitude, b: Amplitude, limit: float, where: str) -> tuple[float, float, str]:
-    """Mean intensity of `b` over that of `a`, dB, and the limit of its absolute value."""
+    """Ratio of mean intensity of `b` to that of `a`, dB, and the limit of its absolute value."""
     means = [float(np.mean(np.square(v, dtype=float))) for v in (a, b)]
     if min(means) <= 0:
         return 0.0, limit, where

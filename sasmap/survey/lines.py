@@ -10,20 +10,20 @@ import numpy as np
 from sasmap.survey.lattice import FloatArray
 from sasmap.survey.pings import Pings
 
-# The course is taken over this length to either side, m, and at least this many pings: jitter of
-# decimetres then turns it by a few degrees.
+# The course is computed over this length to either side, m, and at least this many pings: jitter of
+# decimetres then changes it by a few degrees.
 COURSE_LENGTH, COURSE_PINGS = 3.0, 5
-# Ping spacings from which a step is a jump; where the course before and after it agrees within this
-# angle, degrees, it is a gap in the line, not its end (choices).
+# Step, in ping spacings, above which it is a jump; where the course before and after it agrees
+# within this angle, degrees, it is a gap in the line, not its end (choices).
 JUMP, STRAIGHT_ON = 20.0, 30.0
 # Degrees (choices). A file whose course spans less than TURN is one line; otherwise pieces that
 # span at most SPAN are lines where they are straight: their median rate of turn times their length
 # is under BENT (for an arc it is SPAN). Ends are cut where the course differs from its median by
 # TRIMMED.
 TURN, SPAN, BENT, TRIMMED = 90.0, 60.0, 20.0, 15.0
-# Fewest pings of a line.
+# Minimum number of pings of a line.
 FEWEST = 2
-# Most points along a track at which its course is taken: bounds the time.
+# Maximum number of points along a track at which its course is computed: bounds the time.
 PLACES = 5000
 
 
@@ -40,7 +40,7 @@ def find_lines(pings: Pings) -> tuple[list[Span], list[str]]:
     Parameters
     ----------
     pings : Pings
-        No two successive ones at one position.
+        No two successive ones at the same position.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def find_lines(pings: Pings) -> tuple[list[Span], list[str]]:
 
 
 def _parts(pings: Pings, warnings: list[str]) -> Iterator[Span]:
-    """Split a file where a ping lies far from the one before, and not straight ahead."""
+    """Split a file where a ping is far from the previous one, and not straight ahead."""
     dx, dy = np.diff(pings.x), np.diff(pings.y)
     step = np.hypot(dx, dy)
     first = 0

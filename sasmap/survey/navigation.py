@@ -28,7 +28,7 @@ COLUMNS = ("x", "y", "longitude", "latitude", "altitude")
 MAX_REACH = 5.0
 # Length of a degree of latitude, m (a nautical mile of 1852 m is a minute).
 METRES_A_DEGREE = 60 * 1852.0
-# Port and starboard are decided by the course over this length to either side, m: longer than
+# Port and starboard are determined by the course over this length to either side, m: longer than
 # jitter of positions, shorter than turns.
 COURSE_LENGTH = 3.0
 # Smallest grazing angle (a range of 115 altitudes, beyond any sonar): farther tiles belong to
@@ -79,14 +79,14 @@ class Track:
         Parameters
         ----------
         x, y : ndarray
-            Map coordinates, m, of one shape; fast where neighbours in memory are neighbours on the
-            map.
+            Map coordinates, m, of the same shape; fast where neighbours in memory are neighbours on
+            the map.
         step : int
-            Rows and columns from one that is located to the next. Between four points that are seen
-            from one side, distance and altitude are linear and the azimuth is the nearest one's.
-            With 0.4 m between points and headings that scatter by 0.05 radian from ping to ping the
-            distance is off by 10 mm at most, by up to half a step where two parts of a track that
-            turns are equally near.
+            Step in rows and columns between points that are located exactly. Between four such
+            points that are seen from one side, distance and altitude are interpolated linearly and
+            the azimuth is that of the nearest. With 0.4 m between points and headings that scatter
+            by 0.05 radian from ping to ping the distance error is at most 10 mm, or up to half a
+            step where two parts of a turning track are equally near.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class Track:
         return Geometry(distance, altitude, azimuth, starboard.reshape(shape))
 
     def _between(self, x: FloatArray, y: FloatArray, step: int) -> Geometry:
-        """Locate some rows and columns, and what these do not tell."""
+        """Locate some rows and columns, and points that cannot be interpolated between them."""
         rows, columns = (np.append(np.arange(0, n - 1, step), n - 1) for n in x.shape)
         some = np.ix_(rows, columns)
         out, starboard = np.empty((3, *x.shape)), np.empty(x.shape, np.bool_)
@@ -189,7 +189,7 @@ def _tree(tx, ty):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _square(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Squared distance of a point from a segment, and the place along it (0 to 1)."""
+    """Squared distance of a point from a segment, and the position along it (0 to 1)."""
     dx, dy = bx - ax, by - ay
     length = dx * dx + dy * dy
     along = (x - ax) * dx + (y - ay) * dy
@@ -232,7 +232,7 @@ def _locate(px, py, tx, ty, altitude, cx, cy, tree, out, starboard):  # type: ig
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _interpolate(rows, columns, seen, out, starboard):  # type: ignore[no-untyped-def]
-    """Fill in the geometry between points seen from one side; returns where it is not told."""
+    """Fill in the geometry between points seen from one side; returns the mask of the rest."""
     rest = np.zeros(starboard.shape, np.bool_)
     for i in range(rows.size - 1):
         end = rows[i + 1] + int(i == rows.size - 2)
@@ -319,7 +319,7 @@ def read_navigation(
         CSV with a header; columns altitude and either longitude, latitude or x, y; others are
         ignored. One row per ping, in track order.
     crs : str
-        CRS of the track wanted.
+        CRS of the resulting track.
     tile_crs : str
         CRS of x, y where `navigation_crs` is None.
     navigation_crs : str or None

@@ -1,4 +1,4 @@
-"""A survey's files found and checked before any work starts."""
+"""Finding and checking a survey's files before any work starts."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def open_survey(survey: Survey) -> OpenSurvey:
 
 
 def _tell(tiles: list[tuple[Tile, ...]]) -> None:
-    """Log what the first check does: on large mosaics it takes seconds."""
+    """Log the extent of the first check, which takes seconds on large mosaics."""
     every = [tile for part in tiles for tile in part]
     megapixels = sum(tile.window.height * tile.window.width for tile in every) / 1e6
     log.info(
@@ -225,7 +225,7 @@ def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
     else:
         where, crs = str(tiles[0].path), pyproj.CRS.from_wkt(tiles[0].lattice.crs)
     wkt = crs.to_wkt()
-    # two spellings of a CRS must not count as two
+    # two spellings of one CRS must not count as two CRSs
     for tile in tiles:
         if tile.lattice.crs != wkt and pyproj.CRS.from_wkt(tile.lattice.crs).equals(
             crs, ignore_axis_order=True
@@ -328,7 +328,7 @@ def open_pass(survey: Survey, name: str) -> xr.DataArray:
 
 
 def _chosen(opened: OpenSurvey, name: str) -> SonarPass:
-    """Return the pass of a name; if several lines saw it, that of the named line."""
+    """Return the pass with a name; if several lines saw it, that of the named line."""
     found = [p for p in opened.passes if name in (p.name, p.settings_name)]
     if not found:
         opened.settings.find_pass(name)  # its message lists the passes

@@ -27,7 +27,7 @@ from sasmap.survey.navigation import Geometry, Track
 from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 
 Side = Literal["port", "starboard"]
-# Pixels a side of the dask chunks of a lazy array: 8 MB of double precision.
+# Side in pixels of the dask chunks of a lazy array: 8 MB of double precision.
 CHUNK = 1024
 
 ATTRIBUTES = {
@@ -53,7 +53,7 @@ class SonarPass:
     name : str
         Name in the survey file, with the number of the line where several lines saw the pass.
     settings_name : str
-        The survey file's.
+        Name in the survey file.
     tiles : tuple of Tile
         In order of precedence where they overlap.
     track : Track
@@ -95,14 +95,14 @@ class SonarPass:
         Parameters
         ----------
         x, y : ndarray
-            Map coordinates, m, of one shape.
+            Map coordinates, m, of the same shape.
         step : int
             See :meth:`Track.locate`.
 
         Returns
         -------
         Geometry
-            As of :meth:`Track.locate`; the distance is NaN on the other side as well.
+            As from :meth:`Track.locate`; the distance is NaN on the other side as well.
         """
         seen = self.track.locate(x, y, step=step)
         if len(self.sides) == 1:
@@ -123,7 +123,7 @@ def view(
     lattice : Lattice
     window : Window
     step : int
-        Of ground-range tiles, pixels from one that is located to the next, see
+        For ground-range tiles, step in pixels between points that are located exactly, see
         :meth:`Track.locate`.
 
     Returns
@@ -171,7 +171,7 @@ def open_lazily(sonar_pass: SonarPass, grid: CellGrid) -> xr.DataArray:
     Returns
     -------
     DataArray (y, x)
-        As :func:`sasmap.open_pass` describes it.
+        As described for :func:`sasmap.open_pass`.
     """
     lattice = clip_lattice(sonar_pass.tiles[0], grid)
     return _lazy(sonar_pass, grid.crs, lattice, _extent(sonar_pass, lattice))
@@ -180,8 +180,8 @@ def open_lazily(sonar_pass: SonarPass, grid: CellGrid) -> xr.DataArray:
 def clip_lattice(tile: Tile, grid: CellGrid) -> Lattice:
     """Return the lattice on which a tile's pixels are represented.
 
-    Its own, unless it is in degrees: then a lattice in the survey's CRS with square pixels as large
-    as the longer side of the tile's pixels, so that none of these appears twice.
+    This is its own lattice, unless that is in degrees: then a lattice in the survey's CRS whose
+    square pixels have the longer side of the tile's pixels, so that none of these appears twice.
     """
     if not tile.geographic:
         return tile.lattice
@@ -354,7 +354,7 @@ def _pixel_size(tile: Tile, lattice: Lattice) -> float:
 
 
 def _span(valid: NDArray[np.bool_]) -> slice:
-    """Range from the first to the last valid row or column; at least two, to define the lattice."""
+    """Slice from the first to the last valid row or column; at least two, to define the lattice."""
     at = np.flatnonzero(valid)
     first, last = int(at[0]), int(at[-1])
     if first == last and valid.size > 1:

@@ -21,14 +21,14 @@ from sasmap.survey.lattice import FloatArray
 HALF = 5
 # Deviations that are not noise: in standard deviations (from the median absolute deviation), in
 # ping spacings for positions, and as a fraction of altitude. The sea floor's relief within eleven
-# pings is smaller: a wreck of a quarter of the altitude is in the median once it lasts six pings.
+# pings is smaller: a wreck of a quarter of the altitude enters the median once it spans six pings.
 SIGMAS, SPACINGS, FRACTION = 8.0, 4.0, 0.25
-# Standard deviation over median absolute deviation of a normal distribution.
+# Ratio of standard deviation to median absolute deviation of a normal distribution.
 TO_SD = 1.4826
-# Bad pings that are interpolated: largest share of all, and most successive missing altitudes
-# (choices: what interpolation can bridge).
+# Bad pings that are interpolated: maximum share of all, and maximum number of successive missing
+# altitudes (choices: what interpolation can bridge).
 MOST_BAD, LONGEST_GAP = 0.1, 10
-# Fewest pings for the running median: one more than its width of eleven.
+# Minimum number of pings for the running median: one more than its width of eleven.
 FEWEST = 12
 # Step of altitude between two pings that is not relief: as a fraction of the median altitude (the
 # error that heights would have), steeper than 45 degrees, and lasting.
@@ -44,11 +44,11 @@ FARTHEST_ASIDE = 20.0
 # Rounded positions: the step, m, that matters for ranges of ten metres, and the share of pings that
 # then deviate from a straight line by half of it.
 ROUNDED, BENT = 0.25, 0.1
-# Rows out of order: median step over the distance to the nearest ping, and over the track's extent.
-# In order they are about 1 (jitter of three spacings: 5) and small; shuffled, the step is a third
-# of the extent.
+# Rows out of order: ratio of the median step to the distance to the nearest ping, and to the extent
+# of the track. In order these are about 1 (jitter of three spacings: 5) and small; shuffled, the
+# step is a third of the extent.
 DISORDER, WIDE = 10.0, 0.05
-# Most rows that a message lists.
+# Maximum number of rows that a message lists.
 NAMED = 5
 
 
@@ -67,7 +67,7 @@ class Pings(NamedTuple):
 
 
 def checked_pings(pings: Pings) -> tuple[Pings, list[str]]:
-    """Interpolate the outliers and gaps of a few pings; refuse more.
+    """Interpolate outliers and gaps of a few pings; refuse files with more.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
     step = np.hypot(np.diff(x), np.diff(y))
     spacing = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     limit = max(SPACINGS * spacing, SIGMAS * TO_SD * float(np.median(away)))
-    # the last ping of a line is far from the median around it, but not from that before it
+    # the last ping of a line is far from the median around it, but not from the line before it
     bad = (away > limit) & (np.minimum(*_from_either_side(x, y)) > limit)
     if bad.any():
         at = np.flatnonzero(bad)
@@ -202,7 +202,7 @@ def _mend(
 
 
 def _median(values: FloatArray) -> FloatArray:
-    """Take a running median over a ping and its neighbours; the trend continues beyond the ends."""
+    """Take a running median over a ping and its neighbours, with the trend beyond the ends."""
     width = 2 * HALF + 1
 
     def beyond(end: FloatArray) -> FloatArray:
@@ -306,7 +306,7 @@ def rounding_of(values: FloatArray) -> float:
     Parameters
     ----------
     values : ndarray (n,)
-        As in the file, in track order.
+        Values as in the file, in track order.
 
     Returns
     -------
@@ -321,7 +321,7 @@ def rounding_of(values: FloatArray) -> float:
         return 0.0
     step = float(gaps.min())
     decimal = abs(np.log10(step) - np.rint(np.log10(step))) < 1e-3
-    with np.errstate(over="ignore"):  # what overflows single precision is not single precision
+    with np.errstate(over="ignore"):  # values that overflow are not in single precision
         single = values.astype(np.float32)
     coarse = bool((single == values).all()) and step >= 0.99 * np.spacing(np.abs(single).max())
     if not (decimal or coarse):

@@ -22,11 +22,11 @@ def on_cell(
     ----------
     clip : Clip
     model : ndarray (..., rows, columns)
-        Modelled amplitude, or whatever else, on the clip's lattice.
+        Modelled amplitude, or other values, on the clip's lattice.
     grid : CellGrid
     cell : Cell
     window : int
-        Pixels a side of the cell.
+        Side of the cell in pixels.
 
     Returns
     -------

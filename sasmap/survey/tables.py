@@ -1,7 +1,7 @@
 """Text tables of many styles, read into columns of numbers.
 
-pandas reads the cells; what it would silently repair (surplus cells, duplicate column names) is
-refused here, with the row number in the file: the first line is row 1.
+pandas reads the cells; faults that it would silently repair (surplus cells, duplicate column names)
+are refused here, with the row number in the file: the first line is row 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MAX_BYTES = 2**29
 # Separators; a header without any of them is separated by spaces.
 MARKS = ",;\t|"
 COMMENTS = ("#", "%", "//", "!")
-# Most lines before the header, such as titles.
+# Maximum number of lines before the header, such as titles.
 MOST_HEAD = 40
 # Text that stands for a missing number.
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "*", "?"})
@@ -81,7 +81,7 @@ class Table:
         Raises
         ------
         InputError
-            Where two columns have that name, the unit is another, or a cell is not a number.
+            Where two columns have that name, the unit is unexpected, or a cell is not a number.
         """
         column = self._place(name)
         text = self.cells[column]

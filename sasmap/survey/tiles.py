@@ -51,7 +51,7 @@ GDAL_OPTIONS = {
 warnings.filterwarnings("ignore", category=rasterio.errors.NotGeoreferencedWarning)
 # Largest block that is decoded, bytes: each worker holds one, so this bounds memory.
 MAX_BLOCK_BYTES = 2**29
-# Largest plausible ratio of the pixels' bytes to the file's: deflate compresses at most 1032 to 1.
+# Largest plausible ratio of the pixels' bytes to the file size: deflate compresses at most 1032:1.
 MAX_EXPANSION = 2000.0
 
 
@@ -104,7 +104,7 @@ class Tile:
 
 @lru_cache(maxsize=1000)
 def _metres(crs: str) -> float | None:
-    """Metres of a CRS's unit; None where it is geographic."""
+    """Length of a CRS's unit in metres; None where it is geographic."""
     parsed = pyproj.CRS.from_wkt(crs)
     return None if parsed.is_geographic else float(parsed.axis_info[0].unit_conversion_factor)
 
@@ -443,7 +443,7 @@ def find_tiles(folder: Path, pattern: str) -> list[Path]:
 
 
 def near_miss(folder: Path, pattern: str) -> str:
-    """Say why a pattern that names no file may do so.
+    """Suggest why a pattern matches no file.
 
     Parameters
     ----------
@@ -454,7 +454,7 @@ def near_miss(folder: Path, pattern: str) -> str:
     Returns
     -------
     str
-        To go on with after a message; empty where nothing is known.
+        To be appended to a message; empty where nothing is known.
     """
     if "\\" in pattern:
         return f": folders are parted by /: {pattern.replace(chr(92), '/')!r}"

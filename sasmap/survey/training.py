@@ -23,7 +23,7 @@ from sasmap.survey.passes import SonarPass, view
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
 from sasmap.survey.tiles import Tile, read_tile
 
-# Pixels a side of the pieces in which training pixels are counted: bounds memory.
+# Side in pixels of the pieces in which training pixels are counted: bounds memory.
 CHUNK = 512
 # Half the side, pixels, of the piece in which the correlation of speckle is estimated.
 MIDDLE = 64
@@ -196,7 +196,7 @@ def marked(
     grid : CellGrid
     cell : Cell
     window : int
-        Pixels a side of the cell.
+        Side of the cell in pixels.
 
     Returns
     -------

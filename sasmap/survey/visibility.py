@@ -18,8 +18,9 @@ from sasmap.survey.tiles import Tile, read_tile
 
 # Points along the longer side of a tile that represent its pixels.
 POINTS = 64
-# A line saw a tile if it saw this share of what the best line saw; of several such lines, the only
-# one above this grazing angle (a range of 19 altitudes, which few sonars exceed).
+# A line saw a tile if it saw this share of the points that the best line saw; of several such
+# lines, the only one to see it above this grazing angle (a range of 19 altitudes, which few sonars
+# exceed).
 SHARE, USUAL_GRAZING = 0.9, np.radians(3.0)
 # Grazing angle of a pass's farthest pixel above which altitude is refused, and above which it is
 # doubtful: side-looking sonars see far beyond their altitude, and ranges under one and a half
@@ -27,8 +28,8 @@ SHARE, USUAL_GRAZING = 0.9, np.radians(3.0)
 STEEPEST, STEEP = np.radians(72.0), np.radians(35.0)
 # Grazing angle of its nearest pixel below which altitude is doubtful.
 LOW = np.radians(2.0)
-# Share of a tile's pixels beyond the ends of the line that causes a warning, and sampling step of
-# the check, pixels.
+# Share of a tile's pixels beyond the ends of the line above which a warning is given, and sampling
+# step of the check, pixels.
 MOST_LEFT_OUT, STRIDE = 0.1, 8
 # Distance of a track from a tile, m, that indicates a mix-up: no sonar sees so far.
 FAR = 5000.0
@@ -68,18 +69,18 @@ def _sight(sonar_pass: SonarPass, tile: Tile, crs: str) -> _Sight:
 def assign_tiles(
     lines: list[SonarPass], labels: list[str], crs: str, warnings: list[str]
 ) -> list[SonarPass]:
-    """Give each tile to the line of the navigation that saw it.
+    """Assign each tile to the line of the navigation that saw it.
 
     Parameters
     ----------
     lines : list of SonarPass
         The pass as seen from each line of its navigation, with all tiles.
     labels : list of str
-        Place of each line in the file.
+        Rows of each line in the file.
     crs : str
         The survey's.
     warnings : list of str
-        Is added to.
+        Warnings are appended.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def assign_tiles(
 
 
 def _able(masks: list[NDArray[np.bool_]]) -> list[int]:
-    """Find the lines that saw about as much as the best."""
+    """Find the lines that saw about as much as the best one."""
     counts = [int(mask.sum()) for mask in masks]
     return [k for k, count in enumerate(counts) if count and count >= SHARE * max(counts)]
 
@@ -184,7 +185,7 @@ def check_altitude(sonar_pass: SonarPass, crs: str, warnings: list[str]) -> None
     crs : str
         The survey's.
     warnings : list of str
-        Is added to.
+        Warnings are appended.
 
     Raises
     ------
@@ -269,7 +270,7 @@ def left_out(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
         Where a block cannot be decoded.
     """
     if np.isnan(_sight(sonar_pass, tile, crs).grazing).mean() < MOST_LEFT_OUT:
-        return ""  # whatever of it is valid
+        return ""  # however many of its pixels are valid
     valid, lost = 0, 0
     for part in sample_windows(tile.window):
         there = ~np.isnan(read_tile(tile, part)[::STRIDE, ::STRIDE])
@@ -287,7 +288,7 @@ def left_out(sonar_pass: SonarPass, tile: Tile, crs: str) -> str:
 
 
 def _bands(whole: Window) -> Iterator[Window]:
-    """Windows of some rows that cover a tile."""
+    """Windows of full rows that together cover a tile."""
     rows = max(1, CHECKED_PIXELS // max(whole.width, 1))
     for row in range(0, whole.height, rows):
         yield Window(row, 0, min(rows, whole.height - row), whole.width)

@@ -19,22 +19,22 @@ from sasmap.survey.tiles import Tile, read_tile
 # Bins of the profile, distance from the track in altitudes. The transmitted pulse lies before the
 # first, and ranges beyond the last carry no information.
 FIRST, LAST, STEP = 0.14, 2.6, 0.02
-# Points along a tile's longer side, and a window's sides, that are tested for nearness; most
-# windows that are read, and fewest pixels per bin.
+# Points along a tile's longer side, and along a window's sides, that are tested for nearness;
+# maximum number of windows that are read, and minimum number of pixels per bin.
 POINTS, CORNERS, MOST_WINDOWS, LEAST_PIXELS = 64, 3, 48, 60
-# Least rise from water to floor, dB (side-scan and SAS have 15 and more; ripples at such ranges
-# vary by 6), and the share of the range within which it must occur: a side-looking beam with a weak
-# first echo rises over half an altitude.
+# Minimum rise from water to floor, dB (side-scan and SAS have 15 and more; ripples at such ranges
+# vary by 6), and the share of the range within which it must occur: with a side-looking beam and a
+# weak first echo the level rises over half an altitude.
 RISE_DB, SHARP = 10.0, 0.08
-# Fewest bins before and after a step; altitudes before it that must be dark (shadows are narrower
-# at such ranges), or all where a tile begins below the sonar; interval after it over which the
-# floor's level is averaged, as a share of its range.
+# Minimum number of bins before and after a step; length before it, in altitudes, that must be dark
+# (shadows are narrower at such ranges), or all of it where a tile begins below the sonar; interval
+# after it over which the floor's level is averaged, as a share of its range.
 FEWEST_BINS, DARK, AFTER = 4, 0.3, 0.35
-# Level in the column, dB under the floor's, above which it is not water; and the intervals, in
+# Level in the column, dB below the floor's, above which it is not water; and the intervals, in
 # altitudes, over which the levels of column and floor are averaged.
 BRIGHT_DB, COLUMN, FLOOR = 6.0, (0.3, 0.9), (1.1, 1.8)
-# First echo over stated altitude: tolerance for bottom detection and side-looking beams (measured:
-# 10 % too far), and the value from which ground range is doubtful.
+# Ratio of first echo to stated altitude: tolerance for bottom detection and side-looking beams
+# (measured: 10 % too far), and the value above which ground range is doubtful.
 EARLY, LATE, COLUMN_ENDS = 0.87, 1.2, 0.9
 # Other units of altitude, m.
 UNITS = {"feet": 0.3048, "fathoms": 1.8288}
@@ -46,7 +46,7 @@ LIKE = 0.08
 FOLLOWS, VARIES = 0.015, 0.06
 # Groups of pixels by altitude, and the quantile of distance that is taken as their edge.
 GROUPS, EDGE = 8, 0.002
-# Least intensity over the largest, and smallest positive number: keep logarithms finite.
+# Minimum intensity relative to the largest, and smallest positive number: keep logarithms finite.
 SILENCE, TINY = 1e-12, np.finfo(float).tiny
 # Amplitude whose square is still finite.
 LARGEST = 1e150
@@ -62,7 +62,7 @@ class Profile(NamedTuple):
     level : ndarray (bins,)
         Mean intensity, dB; NaN where too few pixels are valid.
     edges : ndarray (groups,)
-        Nearest valid pixel, altitudes, of groups of pixels by increasing altitude.
+        Distance of the nearest valid pixel, altitudes, in groups of pixels by increasing altitude.
     follows : bool
         Whether valid pixels have an edge that follows altitude, or that lies within the tiles.
     """

@@ -1,11 +1,11 @@
-"""Whether ripples are regular along the stated range of the tiles, or along the other.
+"""Check whether ripples are regular in the stated kind of range of the tiles, or in the other.
 
 In ground range, straight ripples have the same wavelength near the track and far from it; in slant
 range they are shorter near the track, by the cosine of the grazing angle. Where the phase of the
-ripples on the tiles bends over range by just that much, the stated range is wrong.
+ripples on the tiles bends over range by just that much, the stated kind of range is wrong.
 
-In 150 simulated windows (12.5 m, from 5 to 12 m on, altitude 5 m) no correct range was doubted; of
-wrong ones 7 of 10 were found with straight crests, 2 of 10 with bent ones.
+In 150 simulated windows (12.5 m, starting at 5 to 12 m, altitude 5 m) no correct range was doubted;
+of wrong ones 7 of 10 were found with straight crests, 2 of 10 with bent ones.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
 from sasmap.survey.water_column import LARGEST
 
-# Pixels a side of the examined windows (a usual cell), most windows, pixels that are averaged
-# first, and least valid share of a window.
+# Side in pixels of the examined windows (a usual cell), maximum number of windows, pixels that are
+# averaged first, and minimum valid share of a window.
 SIDE, MOST_WINDOWS, MEAN, VALID = 500, 12, 2, 0.8
-# Shortest wavelength in averaged pixels, longest as a share of a window, and least ratio of the
+# Shortest wavelength in averaged pixels, longest as a share of a window, and minimum ratio of the
 # spectrum's peak to its median.
 SHORTEST, LONGEST, PEAK = 4.0, 0.25, 40.0
-# Width of the smoothing of the phase, wavelengths, and points a side at which the phase is sampled.
+# Width of the smoothing of the phase, wavelengths, and points per side at which it is sampled.
 SMOOTHING, PLACES = 0.7, 48
-# Distance in altitudes within which slant and ground range differ enough; least bend of the phase
-# between them, rad rms, and least component of the wave vector along the look.
+# Distance in altitudes within which slant and ground range differ enough; minimum bend of the phase
+# between them, rad rms, and minimum component of the wave vector along the look.
 NEAR, LEAST_BEND, ALONG = 6.0, 0.08, 0.7
-# Bounds of the found bend over that expected for the other range (1: other range, 0: stated range).
-# The lead of brightness over the crests decreases with range, which on the simulated sample gives
-# -0.5 and 1.5 instead of 0 and 1.
+# Bounds of the ratio of the bend found to that expected for the other range (1: other range, 0:
+# stated range). The lead of brightness over the crests decreases with range, which on the simulated
+# sample gives -0.5 and 1.5 instead of 0 and 1.
 FOUND = (0.7, 2.0)
-# Largest standard error of it, and windows needed to estimate one; with fewer, the other range must
-# leave at most this share of the phase's variance in each.
+# Largest standard error of that ratio, and windows needed to estimate one; with fewer, the other
+# range must leave at most this share of the phase's variance in each.
 ERROR, ENOUGH, STRAIGHT = 0.15, 5, 0.35
 
 
@@ -48,11 +48,11 @@ class RangeBend(NamedTuple):
     Attributes
     ----------
     found : float
-        Bend over that expected for the other range.
+        Bend relative to that expected for the other range.
     expected : float
         Variance of the expected bend, rad^2.
     straighter : float
-        Variance of the phase along the other range, over that along the stated one.
+        Ratio of the phase's variance along the other range to that along the stated one.
     """
 
     found: float
@@ -61,7 +61,7 @@ class RangeBend(NamedTuple):
 
 
 def check_ripples(sonar_pass: SonarPass, crs: str) -> list[str]:
-    """Compare ripples with what either kind of range implies.
+    """Compare ripples with the wavelength trend that each kind of range implies.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _windows(sonar_pass: SonarPass, crs: str) -> list[tuple[Tile, Window]]:
 
 
 def _ratio(sonar_pass: SonarPass, tile: Tile, crs: str, window: Window) -> FloatArray:
-    """Distance from the track over altitude, at a window's pixels; NaN where not seen."""
+    """Ratio of distance from the track to altitude, at a window's pixels; NaN where not seen."""
     distance, altitude = _geometry(sonar_pass, tile, crs, *tile.lattice.centres(window))
     return np.asarray(distance / altitude)
 
@@ -181,9 +181,9 @@ def _waves(
     field : ndarray of complex (rows, columns)
         Amplitude and phase at sample points, relative to a plane wave.
     rows, columns : ndarray
-        Of the points, pixels from the window's corner.
+        Positions of the points, pixels from the window's corner.
     vector : ndarray (2,)
-        Of the plane wave, cycles per row and column.
+        Wave vector of the plane wave, cycles per row and column.
     """
     try:
         values = np.minimum(np.asarray(read_tile(tile, window), float), LARGEST)
