@@ -390,7 +390,7 @@ def _too_long(image: Image, flat: FloatArray, bounds: tuple[float, float]) -> bo
     peak = np.unravel_index(int(np.where(low, power, 0.0).argmax()), power.shape)
     highest = float(power[peak])
     whole = float(tall @ (image.valid @ wide))
-    # a wave and its mirror image, over four bins each under a Hann taper
+    # a wave and its mirror image, each over FEW_BINS bins under a Hann taper
     share = 2 * FEW_BINS * highest / max(float(power[waves > 0].sum()), 1e-300)
     if 2 * np.sqrt(highest) / whole < FEW_CONTRAST or share < FEW_SHARE:
         return False
