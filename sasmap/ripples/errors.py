@@ -114,12 +114,17 @@ def turned_by_errors(fit: Fit) -> float:
     lags = pulses_at(fit, fit.z)[1]
     turned = [_turn(lags, other) for other in others]
     if not fit.geometry.published:
-        lower, higher = (pulses_of(fit, ripple)[1] for ripple in _lower_and_higher(fit))
-        slope = _turn(lower, higher) / (2 * HEIGHT_STEP)
+        slope = lag_per_height(fit)
         turned += [change * slope for change in _changes(data)]
     slopes = np.array([line_of_lags(turn, data)[0] for turn in turned])
     left = data.error_gain[: slopes.size, : slopes.size] if fit.phase.rigid else np.eye(slopes.size)
     return float(np.sqrt(slopes @ left @ slopes)) / (2 * np.pi)
+
+
+def lag_per_height(fit: Fit) -> FloatArray:
+    """Compute the derivative of lags with respect to log A_H at a fit's peak, rad, (blocks,)."""
+    lower, higher = (pulses_of(fit, ripple)[1] for ripple in _lower_and_higher(fit))
+    return _turn(lower, higher) / (2 * HEIGHT_STEP)
 
 
 def _turn(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -197,10 +202,10 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
 
 
 def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
-    """Compute the standard deviation of the slope of straight crests' phase over range.
+    """Compute the standard deviation of the slope of the phase over range.
 
-    It comes from speckle and from errors specific to each range; errors that all ranges share shift
-    all phases equally.
+    With straight crests it comes from speckle and from errors specific to each range; errors that
+    all ranges share shift all phases equally. A phase field states its own.
 
     Parameters
     ----------
@@ -215,6 +220,8 @@ def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     float
         Cycles/m.
     """
+    if not fit.phase.rigid:
+        return float(fit.phase.wave_sd[0] * np.sqrt(fit.noise_factor))
     own, _ = _shared(fit._replace(data=whole), fit.noise_factor, pixel_size)
     slope = _per_cycle(np.log(expected_at(fit, fit.z)[0]))
     told = (whole.pixel_count / (fit.noise_factor + own) * slope**2).sum(axis=1)

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
-from sasmap.ripples.errors import turned_by_errors
+from sasmap.ripples.errors import lag_per_height, turned_by_errors
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
 from sasmap.ripples.optimise import (
     COORDINATES,
-    HEIGHT,
     free_coordinates,
     line_of_lags,
     sampled_coordinates,
@@ -56,8 +55,6 @@ ONE_HEIGHT, VARYING = 0.03, 2.2
 # Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
 # certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
-# Step of log A_H for the derivative of the lag with height.
-HEIGHT_STEP = 0.02
 # Largest error of log A_H in total, as a share of the prior standard deviation of log steepness.
 UNKNOWN = 0.8
 # Draws from which the lag's slope over range is learned.
@@ -326,8 +323,8 @@ def _labelled(
     crossing, fraction = beside
     shape = points.shape[:2]
     named = named_parameters(points, fit.geometry)
-    sd = fit.phase.wave_sd * np.sqrt(fit.noise_factor)
-    across = fit.geometry.across + sd[1] * rng.standard_normal(shape)
+    sd = fit.phase.wave_sd[1] * np.sqrt(fit.noise_factor)
+    across = fit.geometry.across + sd * rng.standard_normal(shape)
     # errors of the pulse that all ranges share widen the draws of the wave number, though they do
     # not tilt the phase: its slope over range has the error of speckle, and the turn by shadow and
     # lean that each draw implies
@@ -336,8 +333,7 @@ def _labelled(
     told = float((offset - slope).mean()) if fit.phase.rigid else 0.0
     # crests seen square-on fall on the same pixels in every row: that error does not average out
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
-    own = fit.tilt if fit.phase.rigid else sd[0]
-    tilt = float(np.sqrt(own**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
+    tilt = float(np.sqrt(fit.tilt**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
     along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
     along, across = along * stretch, across * stretch
@@ -394,9 +390,7 @@ def _turn_of_heights(fit: Fit) -> float:
     spread = _varying(fit) if fit.phase.rigid else 0.0
     if spread == 0.0:
         return 0.0
-    step = HEIGHT_STEP * (np.arange(COORDINATES) == HEIGHT)
-    turned = np.unwrap(pulses_at(fit, fit.z + step)[1] - pulses_at(fit, fit.z)[1])
-    return float(spread * np.sqrt(np.mean(turned**2)) / (2 * np.pi * HEIGHT_STEP))
+    return float(spread * np.sqrt(np.mean(lag_per_height(fit) ** 2)) / (2 * np.pi))
 
 
 def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -41,7 +41,7 @@ class Fit(NamedTuple):
         Relative error of the expected intensity, as estimated from the image
         (:func:`sasmap.ripples.errors.misfit_of`).
     tilt : float
-        Standard deviation of the slope of straight crests' phase over range, cycles/m
+        Standard deviation of the slope of the phase over range, cycles/m
         (:func:`sasmap.ripples.errors.tilt_of`).
     """
 
