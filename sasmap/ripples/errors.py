@@ -152,11 +152,11 @@ def with_fitted_errors(fit: Fit) -> FloatArray:
     return np.asarray(means * np.exp((told @ errors).reshape(means.shape)))
 
 
-def misfit_of(fit: Fit, whole: Histogram) -> float:
+def misfit_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     """Root mean square relative error of the expected intensity, beyond speckle.
 
     Computed over cells (groups of range and parts of phase), after the model errors that the
-    likelihood allows for are fitted. Dark cells weigh less, by the square of their intensity,
+    likelihood allows for are fitted, and beyond the displacement that it allows for. Dark cells weigh less, by the square of their intensity,
     because side lobes brighten them.
 
     Parameters
@@ -164,32 +164,35 @@ def misfit_of(fit: Fit, whole: Histogram) -> float:
     fit : Fit
     whole : Histogram
         With all pixels of weight 1.
+    pixel_size : float
+        m.
 
     Returns
     -------
     float
     """
     means = with_fitted_errors(fit)
-    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means
-    pixels, seen, expected = (in_cells(whole, v) for v in sums)
+    moved = whole.pixel_count * _displacement(fit, means, pixel_size)
+    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means, moved
+    pixels, seen, expected, displaced = (in_cells(whole, v) for v in sums)
     count = np.maximum(pixels, 1.0)
     bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
-    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
+    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2
+    beyond -= (fit.noise_factor + displaced) / count
     return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))
 
 
-def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
+def bin_weights(fit: Fit, whole: Histogram, pixel_size: float) -> FloatArray:
     """Compute the weight of a pixel in each bin (blocks, bins), less where the model may be wrong.
 
     Integrating out an error of standard deviation s that n pixels share leaves them the weight
-    1 / (F + n s^2).
+    1 / (F + n s^2), with F the fit's noise factor.
 
     Parameters
     ----------
     fit : Fit
-        With a histogram whose pixels all have weight 1.
-    noise_factor : float
-        F, variance of the speckle over that of independent pixels.
+    whole : Histogram
+        With all pixels of weight 1.
     pixel_size : float
         m.
 
@@ -197,11 +200,12 @@ def bin_weights(fit: Fit, noise_factor: float, pixel_size: float) -> FloatArray:
     -------
     ndarray (blocks, bins)
     """
-    own, common = _shared(fit, noise_factor, pixel_size)
-    return np.asarray(1 / (noise_factor + own + common))
+    means = expected_at(fit, fit.z)[0]
+    own, common = _shared(fit, whole, means, pixel_size)
+    return np.asarray(1 / (fit.noise_factor + own + common))
 
 
-def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
+def slope_error(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     """Compute the standard deviation of the slope of the phase over range.
 
     With straight crests it comes from speckle and from errors specific to each range; errors that
@@ -222,19 +226,27 @@ def tilt_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     """
     if not fit.phase.rigid:
         return float(fit.phase.wave_sd[0] * np.sqrt(fit.noise_factor))
-    own, _ = _shared(fit._replace(data=whole), fit.noise_factor, pixel_size)
-    slope = _per_cycle(np.log(expected_at(fit, fit.z)[0]))
-    told = (whole.pixel_count / (fit.noise_factor + own) * slope**2).sum(axis=1)
+    means = with_fitted_errors(fit)
+    own, _ = _shared(fit, whole, means, pixel_size)
+    told = (whole.pixel_count / (fit.noise_factor + own) * per_cycle(np.log(means)) ** 2).sum(1)
     apart = whole.place - np.average(whole.place, weights=told)
     return float(1 / np.sqrt(max(told @ apart**2, 1e-12)))
 
 
-def _per_cycle(logs: FloatArray) -> FloatArray:
+def per_cycle(logs: FloatArray) -> FloatArray:
     """Return the derivative of values (blocks, bins) with respect to phase, per cycle."""
     return np.asarray(0.5 * logs.shape[1] * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1)))
 
 
-def _shared(fit: Fit, noise_factor: float, pixel_size: float) -> tuple[FloatArray, FloatArray]:
+def _displacement(fit: Fit, means: FloatArray, pixel_size: float) -> FloatArray:
+    """Variance of the log expected intensity due to a displacement of the pulse, (blocks, bins)."""
+    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, 0 if fit.phase.rigid else FIELD_SHIFT)
+    return np.asarray((shift * per_cycle(np.log(means))) ** 2)
+
+
+def _shared(
+    fit: Fit, whole: Histogram, means: FloatArray, pixel_size: float
+) -> tuple[FloatArray, FloatArray]:
     """Return pixel counts times the variance of the errors that they share, (blocks, bins) each.
 
     The first is for a relative error of the expected intensity shared within a cell (a group of
@@ -242,32 +254,28 @@ def _shared(fit: Fit, noise_factor: float, pixel_size: float) -> tuple[FloatArra
     shared by all pixels of a part of phase. The relative errors are estimated from the clip's own
     misfit, the first at least MODEL_ERROR (FIELD_ERROR where a phase field is followed).
     """
-    data = fit.data
-    means = expected_at(fit, fit.z)[0]
-    bins = means.shape[1]
+    bins, noise_factor = means.shape[1], fit.noise_factor
     which = 0 if fit.phase.rigid else 1
     least = (MODEL_ERROR, FIELD_ERROR)[which] ** 2
-    turn = (0.0, FIELD_SHIFT)[which]
-    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, turn)
-    groups = int(data.group.max()) + 1
+    groups = int(whole.group.max()) + 1
     part = np.arange(bins) * ERROR_CELLS // bins
-    total = partial(in_cells, data)
-    pixels = total(data.pixel_count)
+    total = partial(in_cells, whole)
+    pixels = total(whole.pixel_count)
     count = np.maximum(pixels, 1.0)
-    displacement = (shift * _per_cycle(np.log(means))) ** 2
-    displaced = total(data.pixel_count * displacement) / count
-    brighter = np.maximum(total(data.intensity_sum), total(data.pixel_count * means)) / count
+    displacement = _displacement(fit, means, pixel_size)
+    displaced = total(whole.pixel_count * displacement) / count
+    brighter = np.maximum(total(whole.intensity_sum), total(whole.pixel_count * means)) / count
     dark = (DARK_ERROR[which] / np.maximum(brighter, LEAST_LIGHT)) ** 2
-    misfit = total(data.intensity_sum / means) / count - 1
+    misfit = total(whole.intensity_sum / means) / count - 1
     # misfit of the bright cells
     weight = pixels * least / (least + dark)
     both = np.average(misfit**2 - noise_factor / count - displaced, weights=weight)
-    whole = np.maximum(weight.sum(axis=0), 1e-9)
-    shared = (weight * misfit).sum(axis=0) / whole
-    speckle = noise_factor * (weight**2 / count).sum(axis=0) / whole**2
-    displaced = (weight * displaced).sum(axis=0) / whole
-    common = np.average(shared**2 - speckle - displaced, weights=whole)
+    light = np.maximum(weight.sum(axis=0), 1e-9)
+    shared = (weight * misfit).sum(axis=0) / light
+    speckle = noise_factor * (weight**2 / count).sum(axis=0) / light**2
+    displaced = (weight * displaced).sum(axis=0) / light
+    common = np.average(shared**2 - speckle - displaced, weights=light)
     common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
     error = max(both - common, least)
-    own = (count * (error + dark))[data.group][:, part]
+    own = (count * (error + dark))[whole.group][:, part]
     return own, pixels.sum(axis=0)[part] * (common + displacement)

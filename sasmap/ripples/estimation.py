@@ -323,8 +323,7 @@ def _labelled(
     crossing, fraction = beside
     shape = points.shape[:2]
     named = named_parameters(points, fit.geometry)
-    sd = fit.phase.wave_sd[1] * np.sqrt(fit.noise_factor)
-    across = fit.geometry.across + sd * rng.standard_normal(shape)
+    across = fit.across[0] + fit.across[1] * rng.standard_normal(shape)
     # errors of the pulse that all ranges share widen the draws of the wave number, though they do
     # not tilt the phase: its slope over range has the error of speckle, and the turn by shadow and
     # lean that each draw implies

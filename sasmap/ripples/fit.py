@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from sasmap.ripples.demodulation import (
     rewaved,
     turned_back,
 )
-from sasmap.ripples.errors import bin_weights, misfit_of, tilt_of, with_errors
+from sasmap.ripples.errors import bin_weights, misfit_of, per_cycle, slope_error, with_errors
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import (
@@ -186,8 +187,9 @@ def refined(task: Task, fit: Fit) -> Fit:
         fit = fit._replace(trend=fit.trend * overall)
         model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase.wave, phase.box, used, model)
-        data = histogram(image, trend, phase)
-        fit = reoptimised(fit._replace(trend=trend), data, fit.geometry, TREND_CLIMB)
+        fit = turned(image, fit._replace(trend=trend), across_look(image, fit, fit.data, used)[0])
+        data = histogram(image, trend, fit.phase)
+        fit = reoptimised(fit, data, fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
@@ -200,8 +202,45 @@ def refined(task: Task, fit: Fit) -> Fit:
     another = found[0] is not fit.peaks[0]
     fit = fit._replace(peaks=found)
     fit = reweighted(fit, whole, image.pixel_size) if another else fit
-    tilt = tilt_of(fit, whole, image.pixel_size)
-    return fit._replace(misfit=misfit_of(fit, whole), tilt=tilt)
+    misfit = misfit_of(fit, whole, image.pixel_size)
+    tilt = slope_error(fit, whole, image.pixel_size)
+    return fit._replace(misfit=misfit, tilt=tilt, across=across_look(image, fit, whole, used))
+
+
+def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tuple[float, float]:
+    """Estimate the wave number across the look, and its standard deviation, cycles/m.
+
+    One step of Fisher scoring over the pixels: the histogram's sums do not show how far crests
+    turn. A phase field states its own.
+    """
+    across = fit.geometry.across
+    if not fit.phase.rigid:
+        return across, float(fit.phase.wave_sd[1] * np.sqrt(fit.noise_factor))
+    means, pixels = expected_at(fit, fit.z)[0], whole.pixel_count
+    slope, weight = per_cycle(np.log(means)), fit.data.pixel_count / np.maximum(pixels, 1.0)
+    power = image.power[used] + DYNAMIC_RANGE
+    residual = power / np.maximum(painted(image, fit, used, means)[used], 1e-300) - 1
+    pull = residual * spread_bins(image, fit, used, weight * slope)[used]
+    look = image.look
+    x, y = (image.project(v)[used] for v in (look, np.array([look[1], -look[0]])))
+    x, y = x - x.mean(), y - y.mean()
+    y = y - (x @ y) / max(x @ x, 1e-12) * x
+    told, square = (pixels * weight * slope**2).sum(), float(np.mean(y**2))
+    noise = fit.noise_factor * (pixels * (weight * slope) ** 2).sum()
+    error = np.sqrt(noise * square) / max(told * square, 1e-12)
+    return across + float(pull @ y / max(told * square, 1e-12)), float(error)
+
+
+def turned(image: Image, fit: Fit, across: float) -> Fit:
+    """Turn the crests of a fit to another wave number across the look, cycles/m."""
+    phase, look = fit.phase, image.look
+    offset = across - fit.geometry.across
+    phase = replace(
+        phase,
+        wave=phase.wave + offset * np.array([look[1], -look[0]]),
+        mean_wave=phase.mean_wave + np.array([0.0, offset]),
+    )
+    return fit._replace(phase=phase, geometry=fit.geometry._replace(across=across))
 
 
 def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
@@ -219,7 +258,7 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
     -------
     Fit
     """
-    weight = bin_weights(fit._replace(data=whole), fit.noise_factor, pixel_size)
+    weight = bin_weights(fit, whole, pixel_size)
     data = whole._replace(
         pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
     )
@@ -242,15 +281,18 @@ def explained(fit: Fit) -> float:
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
     """Spread means of bins (blocks, bins) over the used pixels, times the trend; 0 elsewhere."""
-    model = paint_pixels(
-        used,
-        image.ground_range,
-        fit.phase.cycles,
-        fit.phase.per_pixel(image),
-        fit.data.ground_range,
-        means,
-    )
+    model = spread_bins(image, fit, used, means)
     return np.asarray(model * spread_boxes(fit.trend, fit.phase.box, image.shape))
+
+
+def spread_bins(image: Image, fit: Fit, used: BoolArray, values: FloatArray) -> FloatArray:
+    """Spread values of bins (blocks, bins) over the used pixels; 0 elsewhere."""
+    phase, reach = fit.phase, fit.data.ground_range
+    return np.asarray(
+        paint_pixels(
+            used, image.ground_range, phase.cycles, phase.per_pixel(image), reach, values
+        )
+    )
 
 
 def reoptimised(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:

@@ -42,7 +42,9 @@ class Fit(NamedTuple):
         (:func:`sasmap.ripples.errors.misfit_of`).
     tilt : float
         Standard deviation of the slope of the phase over range, cycles/m
-        (:func:`sasmap.ripples.errors.tilt_of`).
+        (:func:`sasmap.ripples.errors.slope_error`).
+    across : tuple of float
+        Wave number across the look and its standard deviation, cycles/m.
     """
 
     phase: PhaseField
@@ -54,6 +56,7 @@ class Fit(NamedTuple):
     explained: float = 0.0
     misfit: float = 0.0
     tilt: float = 0.0
+    across: tuple[float, float] = (0.0, 0.0)
 
     @property
     def z(self) -> FloatArray:
