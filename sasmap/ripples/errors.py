@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.optimise import line_of_lags
+from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE, line_of_lags
 from sasmap.ripples.rendered import Fit, expected_at, expected_of, pulses_at, pulses_of
 from sasmap.ripples.rendering import Geometry, Histogram, Parameters, fill_residuals, parameters_at
 
@@ -31,6 +31,7 @@ LAW_ERROR, THIRD_HARMONIC = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03
 # 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 % without it, 1 with 0.07
 # and 1 with 0.1, where calibration is worse (pipelines/ripples/calibration.py).
 HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
+PARAMETER_STEP = 0.1
 # Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
 FIELD_HARMONIC = 0.03
 
@@ -53,12 +54,27 @@ def with_errors(fit: Fit) -> Histogram:
         bins = logs.shape[1]
         angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
         errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
-    if not errors:
-        return data
-    stack = np.array(errors)
-    flat = stack.reshape(len(stack), -1)
+    return _sharing(data, np.array(errors)) if errors else data
+
+
+def _sharing(data: Histogram, errors: FloatArray) -> Histogram:
+    """Return a histogram with these errors (errors, blocks, bins), one standard deviation each."""
+    flat = errors.reshape(len(errors), -1)
     information = (flat * data.pixel_count.ravel()) @ flat.T
-    return data._replace(errors=stack, error_gain=np.linalg.inv(information + np.eye(len(stack))))
+    return data._replace(errors=errors, error_gain=np.linalg.inv(information + np.eye(len(errors))))
+
+
+def with_fixed_parameters(fit: Fit) -> Histogram:
+    """Return the histogram with, further, the errors of parameters that are fitted but not sampled.
+
+    Blur and noise slope are integrated out about their fitted values, to second order.
+    """
+    shapes = []
+    for i in (NOISE_SLOPE, BLUR):
+        step = PARAMETER_STEP * np.eye(COORDINATES)[i]
+        lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
+        shapes.append((higher - lower) / (2 * PARAMETER_STEP))
+    return _sharing(fit.data, np.concatenate([fit.data.errors, shapes]))
 
 
 def _geometries(geometry: Geometry) -> list[Geometry]:
@@ -225,12 +241,12 @@ def slope_error(fit: Fit, whole: Histogram, pixel_size: float) -> float:
         Cycles/m.
     """
     if not fit.phase.rigid:
-        return float(fit.phase.wave_sd[0] * np.sqrt(fit.noise_factor))
+        return float(fit.phase.wave_sd[0])
     means = with_fitted_errors(fit)
     own, _ = _shared(fit, whole, means, pixel_size)
     told = (whole.pixel_count / (fit.noise_factor + own) * per_cycle(np.log(means)) ** 2).sum(1)
     apart = whole.place - np.average(whole.place, weights=told)
-    return float(1 / np.sqrt(max(told @ apart**2, 1e-12)))
+    return float(np.hypot(1 / np.sqrt(max(told @ apart**2, 1e-12)), fit.phase.wave_sd[0]))
 
 
 def per_cycle(logs: FloatArray) -> FloatArray:

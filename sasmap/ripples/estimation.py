@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
-from sasmap.ripples.errors import lag_per_height, turned_by_errors
+from sasmap.ripples.errors import lag_per_height, turned_by_errors, with_fixed_parameters
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
@@ -288,6 +288,7 @@ def _sampled(
     ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
     coordinates = Coordinates(ridge, fit.geometry)
     rest = coordinates.to_sampling(fit.z)
+    data = with_fixed_parameters(fit)
 
     def whole(points: FloatArray) -> FloatArray:
         every = np.broadcast_to(rest, (*points.shape[:-1], COORDINATES)).copy()
@@ -295,7 +296,7 @@ def _sampled(
         return coordinates.from_sampling(every)
 
     def log_density(points: FloatArray) -> FloatArray:
-        return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
+        return np.asarray(log_posteriors(whole(points), data, fit.geometry))
 
     keep = np.ix_(*[np.isin(free, sampled)] * 2)
     proposal = mixture_of_peaks(

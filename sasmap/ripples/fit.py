@@ -32,7 +32,7 @@ from sasmap.ripples.optimise import (
     rivals,
     search,
 )
-from sasmap.ripples.phase import STRAIGHT, PhaseField, best_field, straight, trial_fields
+from sasmap.ripples.phase import STRAIGHT, PhaseField, best_field, straight, trial_fields, with_slight_bends
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendered import Fit, expected_at, lag_over_range
@@ -107,6 +107,7 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     upright = turned_back(image, boxes, lag_over_range(seen))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
     trials = trial_fields(upright)
+    phase = with_slight_bends(image, phase, trials)
     if (trials.scores >= STRAIGHT).any():
         phase = best_field(image, boxes, trial_fields(boxes))
     return refined(task, fitted(task, phase, boxes.trend, search))
@@ -215,7 +216,7 @@ def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tu
     """
     across = fit.geometry.across
     if not fit.phase.rigid:
-        return across, float(fit.phase.wave_sd[1] * np.sqrt(fit.noise_factor))
+        return across, float(fit.phase.wave_sd[1])
     means, pixels = expected_at(fit, fit.z)[0], whole.pixel_count
     slope, weight = per_cycle(np.log(means)), fit.data.pixel_count / np.maximum(pixels, 1.0)
     power = image.power[used] + DYNAMIC_RANGE
@@ -228,6 +229,7 @@ def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tu
     told, square = (pixels * weight * slope**2).sum(), float(np.mean(y**2))
     noise = fit.noise_factor * (pixels * (weight * slope) ** 2).sum()
     error = np.sqrt(noise * square) / max(told * square, 1e-12)
+    error = np.hypot(error, fit.phase.wave_sd[1])
     return across + float(pull @ y / max(told * square, 1e-12)), float(error)
 
 
