@@ -256,7 +256,9 @@ def per_cycle(logs: FloatArray) -> FloatArray:
 
 def _displacement(fit: Fit, means: FloatArray, pixel_size: float) -> FloatArray:
     """Variance of the log expected intensity due to a displacement of the pulse, (blocks, bins)."""
-    shift = np.hypot(MODEL_SHIFT * pixel_size * fit.geometry.along, 0 if fit.phase.rigid else FIELD_SHIFT)
+    shift = np.hypot(
+        MODEL_SHIFT * pixel_size * fit.geometry.along, 0 if fit.phase.rigid else FIELD_SHIFT
+    )
     return np.asarray((shift * per_cycle(np.log(means))) ** 2)
 
 

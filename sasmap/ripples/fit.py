@@ -32,7 +32,14 @@ from sasmap.ripples.optimise import (
     rivals,
     search,
 )
-from sasmap.ripples.phase import STRAIGHT, PhaseField, best_field, straight, trial_fields, with_slight_bends
+from sasmap.ripples.phase import (
+    STRAIGHT,
+    PhaseField,
+    best_field,
+    straight,
+    trial_fields,
+    with_slight_bends,
+)
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.rendered import Fit, expected_at, lag_over_range
@@ -291,9 +298,7 @@ def spread_bins(image: Image, fit: Fit, used: BoolArray, values: FloatArray) -> 
     """Spread values of bins (blocks, bins) over the used pixels; 0 elsewhere."""
     phase, reach = fit.phase, fit.data.ground_range
     return np.asarray(
-        paint_pixels(
-            used, image.ground_range, phase.cycles, phase.per_pixel(image), reach, values
-        )
+        paint_pixels(used, image.ground_range, phase.cycles, phase.per_pixel(image), reach, values)
     )
 
 
