@@ -31,6 +31,7 @@ LAW_ERROR, THIRD_HARMONIC = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03
 # 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 % without it, 1 with 0.07
 # and 1 with 0.1, where calibration is worse (pipelines/ripples/calibration.py).
 HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
+# Step of the finite difference for parameters that are not sampled, in their sampling coordinates.
 PARAMETER_STEP = 0.1
 # Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
 FIELD_HARMONIC = 0.03
@@ -61,7 +62,8 @@ def _sharing(data: Histogram, errors: FloatArray) -> Histogram:
     """Return a histogram with these errors (errors, blocks, bins), one standard deviation each."""
     flat = errors.reshape(len(errors), -1)
     information = (flat * data.pixel_count.ravel()) @ flat.T
-    return data._replace(errors=errors, error_gain=np.linalg.inv(information + np.eye(len(errors))))
+    gain = np.asarray(np.linalg.inv(information + np.eye(len(errors))), np.float64)
+    return data._replace(errors=errors, error_gain=gain)
 
 
 def with_fixed_parameters(fit: Fit) -> Histogram:
@@ -172,8 +174,8 @@ def misfit_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     """Root mean square relative error of the expected intensity, beyond speckle.
 
     Computed over cells (groups of range and parts of phase), after the model errors that the
-    likelihood allows for are fitted, and beyond the displacement that it allows for. Dark cells weigh less, by the square of their intensity,
-    because side lobes brighten them.
+    likelihood allows for are fitted, and beyond the displacement that it allows for. Dark cells
+    weigh less, by the square of their intensity, because side lobes brighten them.
 
     Parameters
     ----------

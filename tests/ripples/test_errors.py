@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 
 from sasmap.ripples import errors
-from sasmap.ripples.errors import bin_weights, misfit_of, tilt_of, turned_by_errors, with_errors
-from sasmap.ripples.optimise import fisher_scoring, line_of_lags, search
+from sasmap.ripples.errors import (
+    bin_weights,
+    misfit_of,
+    slope_error,
+    turned_by_errors,
+    with_errors,
+    with_fixed_parameters,
+)
+from sasmap.ripples.optimise import BLUR, HEIGHT, NOISE_SLOPE, fisher_scoring, line_of_lags, search
 from sasmap.ripples.rendered import Fit, expected_at, pulses_of
-from sasmap.ripples.rendering import parameters_at
+from sasmap.ripples.rendering import log_posterior, parameters_at
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
 
 BINS, PIXEL = 48, 0.03
@@ -24,13 +31,22 @@ def fit_of(groups, misfit, rigid=True, height=0.02, noise=0.01):
     data = noiseless(truth, empty(reach, 6.0, bins=BINS, count=500.0, group=group), where)
     peak = fisher_scoring(search(data, where)[0].z, data, where)
     data = data._replace(intensity_sum=data.intensity_sum * misfit[group])
-    phase = SimpleNamespace(rigid=rigid)
+    phase = SimpleNamespace(rigid=rigid, wave_sd=np.zeros(2))
     return Fit(phase, None, data, where, [peak])
+
+
+def weights(fit):
+    return bin_weights(fit, fit.data, PIXEL)
+
+
+def misfit(fit, data=None):
+    """Misfit of a fit to its own histogram, or another, in pixels too small to displace it."""
+    return misfit_of(fit, fit.data if data is None else data, 1e-6)
 
 
 def worth(fit):
     """Independent pixels that the clip is worth."""
-    return float((bin_weights(fit, 1.0, PIXEL) * fit.data.pixel_count).sum())
+    return float((weights(fit) * fit.data.pixel_count).sum())
 
 
 def test_without_misfit_more_ranges_tell_more():
@@ -54,7 +70,7 @@ def test_a_misfit_of_each_range_averages_out():
 
 def test_edges_of_a_pulse_tell_less_where_crests_bend():
     straight, bent = (
-        bin_weights(fit_of(6, np.ones((6, BINS)), rigid), 1.0, PIXEL) for rigid in (True, False)
+        weights(fit_of(6, np.ones((6, BINS)), rigid)) for rigid in (True, False)
     )
     assert (bent <= straight).all()
     assert bent.min() < 0.5 * bent.max()  # flanks less than crests
@@ -69,7 +85,7 @@ def test_a_little_light_in_shadow_costs_nothing_elsewhere():
     assert dark.sum() > 3
     lit = np.ones((4, BINS))
     lit[1, dark] = 10.0  # still less than a hundredth of the mean
-    without, with_light = (bin_weights(fit, 1.0, PIXEL) for fit in (plain, fit_of(4, lit, **deep)))
+    without, with_light = (weights(fit) for fit in (plain, fit_of(4, lit, **deep)))
     assert with_light[:, bright].sum() > 0.8 * without[:, bright].sum()
     assert without[:, dark].max() < 0.05 * without[:, bright].max()
 
@@ -88,14 +104,14 @@ def test_light_as_bright_as_the_clip_where_shadow_is_foretold_counts():
 def test_misfit_is_that_of_lit_sea_floor_beyond_speckle():
     rng = np.random.default_rng(4)
     exact = fit_of(6, np.ones((6, BINS)))
-    assert misfit_of(exact, exact.data) < 0.02
+    assert misfit(exact) < 0.02
     speckle = rng.gamma(500, 1 / 500, (24, BINS))
     noisy = exact.data._replace(intensity_sum=exact.data.intensity_sum * speckle)
-    assert misfit_of(exact, noisy) < 0.03
+    assert misfit(exact, noisy) < 0.03
     for error in (0.1, 0.3):
         signs = np.repeat(rng.choice([-1.0, 1.0], (6, 16)), 3, axis=1)
         wrong = fit_of(6, 1 + error * signs)
-        assert abs(misfit_of(wrong, wrong.data) / error - 1) < 0.15
+        assert abs(misfit(wrong) / error - 1) < 0.15
 
 
 def test_what_the_errors_of_the_law_explain_is_no_misfit():
@@ -104,8 +120,8 @@ def test_what_the_errors_of_the_law_explain_is_no_misfit():
     seen = expected_at(exact._replace(geometry=law), exact.z)[0]
     other = exact.data._replace(intensity_sum=exact.data.pixel_count * seen)
     wrong = exact._replace(data=other)
-    before = misfit_of(wrong, other)
-    told = misfit_of(wrong._replace(data=with_errors(wrong)), other)
+    before = misfit(wrong)
+    told = misfit(wrong._replace(data=with_errors(wrong)), other)
     assert told < 0.3 * before
 
 
@@ -118,13 +134,13 @@ def test_what_heights_that_change_over_range_explain_is_no_misfit():
         truth = ripple(height, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
         seen[k] = noiseless(truth, exact.data, exact.geometry).intensity_sum[k]
     wrong = exact._replace(data=exact.data._replace(intensity_sum=seen))
-    before = misfit_of(wrong, wrong.data)
-    told = misfit_of(wrong._replace(data=with_errors(wrong)), wrong.data)
+    before = misfit(wrong)
+    told = misfit(wrong._replace(data=with_errors(wrong)), wrong.data)
     assert told < 0.35 * before
     # a law alone, or a profile, does not explain it
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(errors, "HEIGHT_TREND", ())
-        alone = misfit_of(wrong._replace(data=with_errors(wrong)), wrong.data)
+        alone = misfit(wrong._replace(data=with_errors(wrong)), wrong.data)
     assert told < 0.6 * alone
 
 
@@ -139,12 +155,12 @@ def test_tilt_is_the_scatter_of_the_wave_number_under_errors_of_each_range():
         seen = data.intensity_sum * cells * rng.gamma(pixels, 1 / pixels)
         other = data._replace(intensity_sum=seen)
         told.append(fisher_scoring(plain.z, other, plain.geometry, free=np.array([0, 1])).z[0])
-    assert 0.85 < tilt_of(plain, data, 1e-6) / np.std(told) < 1.5
+    assert 0.85 < slope_error(plain, data, 1e-6) / np.std(told) < 1.5
 
 
 def test_more_range_tells_the_wave_number_better():
     few, many = (fit_of(n, np.ones((n, BINS)), height=0.05) for n in (4, 12))
-    assert tilt_of(many, many.data, PIXEL) < 0.3 * tilt_of(few, few.data, PIXEL)
+    assert slope_error(many, many.data, PIXEL) < 0.3 * slope_error(few, few.data, PIXEL)
 
 
 def test_heights_that_change_over_range_may_turn_the_phase_by_as_much():
@@ -170,3 +186,20 @@ def test_heights_that_change_over_range_may_turn_the_phase_by_as_much():
 def test_without_errors_nothing_turns():
     plain = fit_of(4, np.ones((4, BINS)))
     assert turned_by_errors(plain) == 0.0
+
+
+def test_blur_and_noise_slope_are_integrated_out_of_the_sampled_density():
+    plain = fit_of(4, np.ones((4, BINS)), height=0.08)
+    plain = plain._replace(data=with_errors(plain))
+    free, given, fixed = [], [], []
+    whole = with_fixed_parameters(plain)
+    for step in np.linspace(-0.01, 0.01, 5):
+        z = plain.z.copy()
+        z[HEIGHT] += step
+        fixed.append(log_posterior(z, plain.data, plain.geometry))
+        given.append(log_posterior(z, whole, plain.geometry))
+        best = fisher_scoring(z, plain.data, plain.geometry, free=np.array([NOISE_SLOPE, BLUR]))
+        free.append(best.level)
+    free, given, fixed = (np.subtract(v[2], v)[[0, 1, 3, 4]] for v in (free, given, fixed))
+    assert (fixed > 1.5 * free).all()
+    np.testing.assert_allclose(given, free, rtol=0.3, atol=0.1)
