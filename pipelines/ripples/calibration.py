@@ -94,7 +94,8 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         published=False,
         shadow=LINE_OF_SIGHT,
         law_error=np.array(LAW_ERROR) * rng.standard_normal(LAW_KNOTS.size),
-        third_harmonic=THIRD_HARMONIC * rng.standard_normal(2),
+        third_harmonic=np.array(THIRD_HARMONIC) * rng.standard_normal(2),
+        height_trend=np.array(HEIGHT_TREND) * rng.standard_normal(3),
         fixed=np.full(4, np.nan),
         height_mean=0.0,
         height_sd=np.inf,
@@ -147,16 +148,10 @@ def simulate(
         np.zeros(n, int),
         one[None],
         one,
+        one,
     )
-    # heights that change over range
-    across = np.pi * np.arange(n) / (n - 1)
-    waves = [sd * np.cos(k * across) * rng.normal() for k, sd in enumerate(HEIGHT_TREND, 1)]
-    heights = ripple.height * np.exp(np.sum(waves, axis=0))
     pulses = np.empty((n, BINS))
-    for k, height in enumerate(heights):
-        column = Histogram(*(v[k : k + 1] for v in every[:-2]), *every[-2:])
-        taller = ripple._replace(height=height)
-        fill_pulses(taller, column, geometry, pulses[k : k + 1], np.empty(1))
+    fill_pulses(ripple, every, geometry, pulses, np.empty(n))
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
     # errors of intensity in a wavelength of range and a part of phase, of place in all ranges
     group = ((reach - reach[0]) * geometry.along).astype(int)

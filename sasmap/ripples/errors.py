@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE, line_of_lags
-from sasmap.ripples.rendered import Fit, expected_at, expected_of, pulses_at, pulses_of
-from sasmap.ripples.rendering import Geometry, Histogram, Parameters, fill_residuals, parameters_at
+from sasmap.ripples.rendered import Fit, expected_at, pulses_at, pulses_of
+from sasmap.ripples.rendering import (
+    Geometry,
+    Histogram,
+    fill_residuals,
+    log_posterior,
+    parameters_at,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -17,7 +24,7 @@ FloatArray = NDArray[np.float64]
 # of a cell (a group of range and one of ERROR_CELLS parts of phase), with straight crests and where
 # a phase field is followed; displacement of the pulse that all groups share, in pixels, and in
 # cycles where a field is followed (pipelines/ripples/coherent.py).
-MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
+MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.03, 0.04, 0.15, 0.02, 16
 # Error of the expected intensity over the clip's mean, with straight crests and where a field is
 # followed: side lobes, and lit sea floor at forks and defects where the model has shadow.
 DARK_ERROR = (0.002, 0.01)
@@ -25,88 +32,150 @@ DARK_ERROR = (0.002, 0.01)
 LEAST_LIGHT = 1e-4
 # Standard deviations: departure of the log of a scattering law from its family at each knot (rough
 # floors have a peak near normal incidence), and third harmonic of the profile over A_H.
-LAW_ERROR, THIRD_HARMONIC = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8), 0.03
+LAW_ERROR = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8)
+THIRD_HARMONIC = (0.03, 0.03)
 # Change of log A_H over the range of a clip: standard deviations of its first cosines, and step of
 # the finite difference. Of 53 cells of an independent simulator, whose heights change by factors of
 # 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 % without it, 1 with 0.07
 # and 1 with 0.1, where calibration is worse (pipelines/ripples/calibration.py).
 HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
+# Step of the finite difference for the errors above, standard deviations; shares of the step to
+# their fitted amplitudes that are tried in turn.
+ERROR_STEP, SHARES = 0.7, (1.0, 0.5, 0.25)
 # Step of the finite difference for parameters that are not sampled, in their sampling coordinates.
 PARAMETER_STEP = 0.1
 # Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
 FIELD_HARMONIC = 0.03
 
 
-def with_errors(fit: Fit) -> Histogram:
-    """Return the histogram with the model errors that all bins share.
+def linearised(fit: Fit) -> Fit:
+    """Fit the heights' change over range at a fit's peak, and linearise the model errors there.
 
-    The errors are the scattering law's departure from its family, the crest profile's third
-    harmonic, and heights that change over range; where a phase field is followed, also that the
-    pulse of crests of many wavelengths and directions differs from that of their mean. They are
-    integrated out to second order.
+    A shadow's edge moves with the height: linear about equal heights, the errors of a height that
+    changes do not fit what it does to the edge, and bias A_H.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Fit
+        With the same peaks.
     """
-    data = fit.data
-    logs = np.log(expected_at(fit, fit.z)[0])
-    wrong = [fit._replace(geometry=g) for g in _geometries(fit.geometry)]
-    errors = [np.log(expected_at(other, other.z)[0]) - logs for other in wrong]
-    if not fit.geometry.published:
-        errors += _height_trends(fit)
+    fit = with_errors(fit)
+    if fit.geometry.published:
+        return fit
+    heights = slice(len(_beside(fit.geometry)) - len(HEIGHT_TREND), len(_beside(fit.geometry)))
+    here, level = fit.data.error_fitted[heights], _level(fit, heights)
+    step = _fitted(fit, expected_at(fit, fit.z)[0])[heights]
+    for share in SHARES:
+        trend = np.array(HEIGHT_TREND) * (here + share * step)
+        other = with_errors(fit._replace(geometry=fit.geometry._replace(height_trend=trend)))
+        if _level(other, heights) > level:
+            return other
+    return fit
+
+
+def _level(fit: Fit, held: slice) -> float:
+    """Log posterior of a fit's peak and of some errors at what the geometry contains of them."""
+    data, fitted = fit.data, fit.data.error_fitted
+    others = np.delete(data.errors, held, axis=0)
+    left = _sharing(data, others, np.delete(fitted, held))
+    return float(log_posterior(fit.z, left, fit.geometry) - 0.5 * fitted[held] @ fitted[held])
+
+
+def with_errors(fit: Fit) -> Fit:
+    """Give a fit's histogram the model errors that all bins share.
+
+    The errors are the crest profile's third harmonic, the scattering law's departure from its
+    family, and heights that change over range; where a phase field is followed, also that the
+    pulse of crests of many wavelengths and directions differs from that of their mean. About those
+    that the geometry contains they are integrated out to second order.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Fit
+    """
+    data, geometry = fit.data, fit.geometry
+    fitted = np.zeros(0)
+    errors = [_slope_of(fit, lower, higher) for lower, higher in _beside(geometry)]
+    if not geometry.published:
+        trend = geometry.height_trend / HEIGHT_TREND
+        fitted = np.concatenate([np.zeros(len(errors) - trend.size), trend])
     if not fit.phase.rigid:
-        bins = logs.shape[1]
+        bins = data.pixel_count.shape[1]
         angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
         errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
-    return _sharing(data, np.array(errors)) if errors else data
-
-
-def _sharing(data: Histogram, errors: FloatArray) -> Histogram:
-    """Return a histogram with these errors (errors, blocks, bins), one standard deviation each."""
-    flat = errors.reshape(len(errors), -1)
-    information = (flat * data.pixel_count.ravel()) @ flat.T
-    gain = np.asarray(np.linalg.inv(information + np.eye(len(errors))), np.float64)
-    return data._replace(errors=errors, error_gain=gain)
+        fitted = np.append(fitted, [0.0, 0.0])
+    return fit._replace(data=_sharing(data, np.array(errors), fitted)) if errors else fit
 
 
 def with_fixed_parameters(fit: Fit) -> Histogram:
     """Return the histogram with, further, the errors of parameters that are fitted but not sampled.
 
     Blur and noise slope are integrated out about their fitted values, to second order.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Histogram
     """
-    shapes = []
-    for i in (NOISE_SLOPE, BLUR):
+    shapes, free = [fit.data.errors], [NOISE_SLOPE, BLUR]
+    for i in free:
         step = PARAMETER_STEP * np.eye(COORDINATES)[i]
         lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
-        shapes.append((higher - lower) / (2 * PARAMETER_STEP))
-    return _sharing(fit.data, np.concatenate([fit.data.errors, shapes]))
+        shapes.append((higher - lower)[None] / (2 * PARAMETER_STEP))
+    fitted = np.concatenate([fit.data.error_fitted, fit.z[free]])
+    return _sharing(fit.data, np.concatenate(shapes), fitted)
 
 
-def _geometries(geometry: Geometry) -> list[Geometry]:
-    """Geometries whose crest profile or scattering law is off by one standard deviation."""
-    others = []
+def _sharing(data: Histogram, errors: FloatArray, fitted: FloatArray) -> Histogram:
+    """Return a histogram with these errors (errors, blocks, bins), one standard deviation each."""
+    flat = errors.reshape(len(errors), -1)
+    information = (flat * data.pixel_count.ravel()) @ flat.T
+    gain = np.asarray(np.linalg.inv(information + np.eye(len(errors))), np.float64)
+    return data._replace(errors=errors, error_gain=gain, error_fitted=fitted)
+
+
+def _beside(geometry: Geometry) -> list[tuple[Geometry, Geometry]]:
+    """Geometries with each error ERROR_STEP standard deviations lower and higher, heights last."""
+    kinds: dict[str, tuple[float, ...]] = {}
     if not geometry.published:
-        others = [geometry._replace(third_harmonic=v) for v in THIRD_HARMONIC * np.eye(2)]
+        kinds["third_harmonic"] = THIRD_HARMONIC
     if np.isnan(geometry.fixed[0]):
-        others += [geometry._replace(law_error=v) for v in np.diag(LAW_ERROR)]
-    return others
+        kinds["law_error"] = LAW_ERROR
+    if not geometry.published:
+        kinds["height_trend"] = HEIGHT_TREND
+    pairs = []
+    for name, sd in kinds.items():
+        for step in ERROR_STEP * np.diag(sd):
+            changed: list[dict[str, Any]] = [
+                {name: getattr(geometry, name) + sign * step} for sign in (-1, 1)
+            ]
+            pairs.append((geometry._replace(**changed[0]), geometry._replace(**changed[1])))
+    return pairs
 
 
-def _height_trends(fit: Fit) -> list[FloatArray]:
-    """Errors of the log expected intensity from changes of A_H over range, (blocks, bins) each."""
-    lower, higher = (np.log(expected_of(fit, ripple)[0]) for ripple in _lower_and_higher(fit))
-    slope = (higher - lower) / (2 * HEIGHT_STEP)
-    return [change[:, None] * slope for change in _changes(fit.data)]
+def _slope_of(fit: Fit, lower: Geometry, higher: Geometry) -> FloatArray:
+    """Change of the log expected intensity (blocks, bins) by one standard deviation of an error."""
+    logs = [np.log(expected_at(fit._replace(geometry=g), fit.z)[0]) for g in (lower, higher)]
+    return np.asarray((logs[1] - logs[0]) / (2 * ERROR_STEP))
 
 
-def _lower_and_higher(fit: Fit) -> list[Parameters]:
-    """Parameters at a fit's peak with A_H a step lower and higher."""
-    ripple = parameters_at(fit.z, fit.geometry)
-    steps = np.exp([-HEIGHT_STEP, HEIGHT_STEP])
-    return [ripple._replace(height=float(ripple.height * step)) for step in steps]
-
-
-def _changes(data: Histogram) -> list[FloatArray]:
-    """Return changes of log A_H over range, one standard deviation each, (blocks,)."""
-    across = (data.place - data.place.min()) / max(float(np.ptp(data.place)), 1e-9)
-    return [sd * np.cos(np.pi * k * across) for k, sd in enumerate(HEIGHT_TREND, 1)]
+def _fitted(fit: Fit, means: FloatArray) -> FloatArray:
+    """Amplitudes of the errors in the image beyond those that the geometry contains, (errors,)."""
+    residuals = np.empty(means.shape)
+    fill_residuals(means, fit.data, residuals)
+    errors = fit.data.errors.reshape(len(fit.data.errors), -1)
+    return np.asarray(fit.data.error_gain @ (errors @ residuals.ravel() - fit.data.error_fitted))
 
 
 def turned_by_errors(fit: Fit) -> float:
@@ -128,12 +197,10 @@ def turned_by_errors(fit: Fit) -> float:
     data = fit.data
     if not len(data.errors):
         return 0.0
-    others = (pulses_at(fit._replace(geometry=g), fit.z)[1] for g in _geometries(fit.geometry))
-    lags = pulses_at(fit, fit.z)[1]
-    turned = [_turn(lags, other) for other in others]
-    if not fit.geometry.published:
-        slope = lag_per_height(fit)
-        turned += [change * slope for change in _changes(data)]
+    turned = []
+    for pair in _beside(fit.geometry):
+        lags = [pulses_at(fit._replace(geometry=g), fit.z)[1] for g in pair]
+        turned.append(_turn(*lags) / (2 * ERROR_STEP))
     slopes = np.array([line_of_lags(turn, data)[0] for turn in turned])
     left = data.error_gain[: slopes.size, : slopes.size] if fit.phase.rigid else np.eye(slopes.size)
     return float(np.sqrt(slopes @ left @ slopes)) / (2 * np.pi)
@@ -141,7 +208,11 @@ def turned_by_errors(fit: Fit) -> float:
 
 def lag_per_height(fit: Fit) -> FloatArray:
     """Compute the derivative of lags with respect to log A_H at a fit's peak, rad, (blocks,)."""
-    lower, higher = (pulses_of(fit, ripple)[1] for ripple in _lower_and_higher(fit))
+    ripple = parameters_at(fit.z, fit.geometry)
+    lower, higher = (
+        pulses_of(fit, ripple._replace(height=float(ripple.height * np.exp(step))))[1]
+        for step in (-HEIGHT_STEP, HEIGHT_STEP)
+    )
     return _turn(lower, higher) / (2 * HEIGHT_STEP)
 
 
@@ -161,13 +232,10 @@ def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
 def with_fitted_errors(fit: Fit) -> FloatArray:
     """Return expected intensity (blocks, bins) with the model errors fitted to the image."""
     means = expected_at(fit, fit.z)[0]
-    errors = fit.data.errors.reshape(-1, means.size)
-    if not len(errors):
+    if not len(fit.data.errors):
         return means
-    residuals = np.empty(means.shape)
-    fill_residuals(means, fit.data, residuals)
-    told = fit.data.error_gain @ (errors @ residuals.ravel())
-    return np.asarray(means * np.exp((told @ errors).reshape(means.shape)))
+    errors = fit.data.errors.reshape(-1, means.size)
+    return np.asarray(means * np.exp((_fitted(fit, means) @ errors).reshape(means.shape)))
 
 
 def misfit_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:

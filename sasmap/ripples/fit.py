@@ -19,7 +19,14 @@ from sasmap.ripples.demodulation import (
     rewaved,
     turned_back,
 )
-from sasmap.ripples.errors import bin_weights, misfit_of, per_cycle, slope_error, with_errors
+from sasmap.ripples.errors import (
+    HEIGHT_TREND,
+    bin_weights,
+    linearised,
+    misfit_of,
+    per_cycle,
+    slope_error,
+)
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import (
@@ -63,7 +70,7 @@ POINT_SPREAD = 0.5
 FOUND_TO = 0.5
 # Rounds in which the trend is estimated again with the pulse known, and of Fisher scoring in each;
 # rounds in which the model's errors are estimated.
-TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS = 2, 6, 2
+TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS, LINEARISED = 2, 6, 2, 2
 # Least wave number along the look over that across (a choice: height is not identifiable below
 # seven times it, detection.MIN_ALONG).
 LEAST_ALONG = 0.01
@@ -168,6 +175,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         shadow=rule,
         law_error=np.zeros(LAW_KNOTS.size),
         third_harmonic=np.zeros(2),
+        height_trend=np.zeros(len(HEIGHT_TREND)),
         fixed=fixed,
         height_mean=prior.mean[1],
         height_sd=prior.sd[1],
@@ -272,7 +280,10 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
         pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
     )
     fit = fit._replace(data=data)
-    return reoptimised(fit, with_errors(fit), fit.geometry, CLIMB)
+    for _ in range(LINEARISED):
+        fit = linearised(fit)
+        fit = reoptimised(fit, fit.data, fit.geometry, CLIMB)
+    return linearised(fit)
 
 
 def explained(fit: Fit) -> float:

@@ -120,4 +120,5 @@ def _as_histogram(sums: FloatArray, blocks: FloatArray, length: float) -> Histog
         group,
         np.zeros((0, *sums.shape[:2])),
         np.zeros((0, 0)),
+        np.zeros(0),
     )

@@ -298,6 +298,6 @@ def _slope(
         shared = (slopes * count) @ errors.T @ data.error_gain
         residual = np.empty(means.shape)
         fill_residuals(means, data, residual)
-        gradient -= shared @ (errors @ residual.ravel())
+        gradient -= shared @ (errors @ residual.ravel() - data.error_fitted)
         information -= shared @ ((errors * count) @ slopes.T)
     return gradient, information + np.diag(curvature + 1e-6)

@@ -32,7 +32,7 @@ STIFFNESS = (0.5, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)
 STRAIGHT = np.array([1.03, 1.012, 1.004, 1.004, 1.003, 1.003, 1.003])
 # Error of the phase's mean slope, as a share of the phase's wander, and in cycles over the clip for
 # one fork, growing with the square root of their number (pipelines/ripples/coherent.py).
-WANDER_SHARE, FORK_TURN = 0.2, 0.065
+WANDER_SHARE, FORK_TURN = 0.2, 0.075
 # The same share for bends that are too slight for a field to be followed.
 SLIGHT_SHARE = 0.4
 

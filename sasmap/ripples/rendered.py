@@ -85,11 +85,6 @@ def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:
 
 def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return expected intensity over the local mean (blocks, bins) and gains (blocks,)."""
-    return expected_of(fit, parameters_at(z, fit.geometry))
-
-
-def expected_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray]:
-    """Return the same as :func:`expected_at`, for given parameters."""
     means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
-    fill_expected(ripple, fit.data, fit.geometry, means, gains)
+    fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means, gains)
     return means, gains

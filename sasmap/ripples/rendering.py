@@ -56,6 +56,9 @@ EXPONENT, CONCENTRATION = (1.6, 1.2), (0.5, 0.6)
 LAW_BOUNDS = (-1.5, 6.0)
 # Grazing angles between which a law's departure from the family is linear in the log of the sine.
 LAW_KNOTS = np.log(np.sin(np.radians(np.array([4.0, 9.0, 18.0, 33.0, 50.0, 70.0]))))
+# The knot below each node, and the node's share of the way to the next.
+KNOT = np.clip(np.searchsorted(LAW_KNOTS, LOG_SINES) - 1, 0, LAW_KNOTS.size - 2)
+PAST_KNOT = np.clip((LOG_SINES - LAW_KNOTS[KNOT]) / np.diff(LAW_KNOTS)[KNOT], 0.0, 1.0)
 # Log of the noise floor over the clip's mean intensity (20 dB down, 90 % within -31 and -9 dB), and
 # the power of range that it follows in the image: 0 as received, 2 to 3 where the range trend was
 # removed under Lambert's law. Mean and standard deviation of the priors.
@@ -131,6 +134,8 @@ class Histogram(NamedTuple):
         Possible errors of the log of the expected intensity, one standard deviation each.
     error_gain : ndarray (errors, errors)
         Inverse of the sum of their information and prior precision.
+    error_fitted : ndarray (errors,)
+        Amplitude of each that the geometry already contains, standard deviations.
     """
 
     pixel_count: FloatArray
@@ -144,6 +149,7 @@ class Histogram(NamedTuple):
     group: NDArray[np.int64]
     errors: FloatArray
     error_gain: FloatArray
+    error_fitted: FloatArray
 
 
 class Geometry(NamedTuple):
@@ -173,6 +179,8 @@ class Geometry(NamedTuple):
         Departure of the log of the scattering law from its family, at the knots.
     third_harmonic : ndarray (2,)
         Third harmonic of the crest profile over A_H, sine and cosine.
+    height_trend : ndarray (3,)
+        Change of log A_H over the clip's range: amplitudes of its first cosines.
     fixed : ndarray (4,)
         Exponent, concentration, peakedness and asymmetry where they are fixed; NaN where they are
         estimated.
@@ -195,6 +203,7 @@ class Geometry(NamedTuple):
     shadow: int
     law_error: FloatArray
     third_harmonic: FloatArray
+    height_trend: FloatArray
     fixed: FloatArray
     height_mean: float
     height_sd: float
@@ -396,30 +405,39 @@ def fill_law(exponent, concentration, error, law):  # type: ignore[no-untyped-de
 
     `law` is (2, NODES); its second row is the step to the next node.
     """
-    known = error.any()
     for i in range(NODES):
-        law[0, i] = np.exp(exponent * LOG_SINES[i] - concentration * OFFSETS[i])
-        if known:
-            law[0, i] *= np.exp(np.interp(LOG_SINES[i], LAW_KNOTS, error))
+        k = KNOT[i]
+        off = error[k] + PAST_KNOT[i] * (error[k + 1] - error[k])
+        law[0, i] = np.exp(exponent * LOG_SINES[i] - concentration * OFFSETS[i] + off)
     for i in range(NODES - 1):
         law[1, i] = law[0, i + 1] - law[0, i]
     law[1, NODES - 1] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_facets(ripple, wave, geometry, facets):  # type: ignore[no-untyped-def]
+def fill_facets(height, wave, across, profile, facets):  # type: ignore[no-untyped-def]
     """Fill rows 0 to 2 with heights (m), slopes along the look and areas of a wavelength's facets.
 
-    Areas are relative to the facets' horizontal area.
+    Areas are relative to the facets' horizontal area. `profile` (2, facets) is as
+    :func:`fill_profile` fills it.
     """
-    third = geometry.third_harmonic
-    fill_profile(ripple.peakedness, ripple.asymmetry, third, facets[0], facets[1])
-    steepness = 2.0 * np.pi * ripple.height
+    steepness = 2.0 * np.pi * height
     for i in range(facets.shape[1]):
-        along, beside = steepness * wave * facets[1, i], steepness * geometry.across * facets[1, i]
-        facets[0, i] *= ripple.height
+        along, beside = steepness * wave * profile[1, i], steepness * across * profile[1, i]
+        facets[0, i] = height * profile[0, i]
         facets[1, i] = along
         facets[2, i] = np.sqrt(1.0 + along * along + beside * beside)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_scales(trend, place, scales):  # type: ignore[no-untyped-def]
+    """Fill A_H at each block over its mean (geometric), from cosines over range of its log."""
+    near, far = place.min(), place.max()
+    for b in range(place.size):
+        change = 0.0
+        for k in range(trend.size):
+            change += trend[k] * np.cos(np.pi * (k + 1) * (place[b] - near) / max(far - near, 1e-9))
+        scales[b] = np.exp(change)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -559,13 +577,17 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
     blocks, bins = data.pixel_count.shape
     n = FACETS * bins
     facets, power, place = np.empty((5, n)), np.empty(n), np.empty(n)
+    profile, scales = np.empty((2, n)), np.ones(blocks)
     law, pulse, kernel = np.empty((2, NODES)), np.empty(bins), np.empty(bins)
-    wave = geometry.along + ripple.wave_offset
+    wave, varies = geometry.along + ripple.wave_offset, geometry.height_trend.any()
     reach, crest = fill_blur(ripple.blur * bins, kernel), -1
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
-        fill_facets(ripple, wave, geometry, facets)
-        crest = int(np.argmax(facets[0])) if geometry.shadow else -1
+        third = geometry.third_harmonic
+        fill_profile(ripple.peakedness, ripple.asymmetry, third, profile[0], profile[1])
+        crest = int(np.argmax(profile[0])) if geometry.shadow else -1
+        if varies:
+            fill_scales(geometry.height_trend, data.place, scales)
     before, stride = 0, 1 if geometry.shadow else RENDERED
     for b in range(blocks):
         if b % stride != 0 and b < blocks - 1:
@@ -576,6 +598,8 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
             fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, power, place)
             flat = published_amplitude(np.arctan(tangent), ripple.concentration) ** 2
         else:
+            if varies or b == 0:
+                fill_facets(ripple.height * scales[b], wave, geometry.across, profile, facets)
             fill_echoes(wave, tangent, distance, crest, facets, law, power, place)
             flat = law[0, int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
         pulse[:] = 0.0
@@ -719,8 +743,9 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
     value += fill_residuals(means, data, residuals)
     if data.errors.shape[0] > 0:
         shapes = data.errors.reshape(data.errors.shape[0], means.size)
-        pull = np.dot(shapes, residuals.ravel())
+        pull = np.dot(shapes, residuals.ravel()) - data.error_fitted
         value += 0.5 * np.dot(pull, np.dot(data.error_gain, pull))
+        value -= 0.5 * np.dot(data.error_fitted, data.error_fitted)
     return value
 
 

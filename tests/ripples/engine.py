@@ -46,6 +46,7 @@ def geometry(along, ground_range, altitude, **changes):
         shadow=LINE_OF_SIGHT,
         law_error=np.zeros(LAW_KNOTS.size),
         third_harmonic=np.zeros(2),
+        height_trend=np.zeros(3),
         fixed=np.full(4, np.nan),
         height_mean=0.25,
         height_sd=np.inf,
@@ -73,6 +74,7 @@ def empty(ground_range, altitude, bins=64, count=400.0, group=None, offset=0.0):
         np.zeros(shape[0], np.int64) if group is None else np.asarray(group, np.int64),
         np.zeros((0, *shape)),
         np.zeros((0, 0)),
+        np.zeros(0),
     )
 
 

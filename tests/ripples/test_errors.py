@@ -8,6 +8,7 @@ import pytest
 from sasmap.ripples import errors
 from sasmap.ripples.errors import (
     bin_weights,
+    linearised,
     misfit_of,
     slope_error,
     turned_by_errors,
@@ -69,9 +70,7 @@ def test_a_misfit_of_each_range_averages_out():
 
 
 def test_edges_of_a_pulse_tell_less_where_crests_bend():
-    straight, bent = (
-        weights(fit_of(6, np.ones((6, BINS)), rigid)) for rigid in (True, False)
-    )
+    straight, bent = (weights(fit_of(6, np.ones((6, BINS)), rigid)) for rigid in (True, False))
     assert (bent <= straight).all()
     assert bent.min() < 0.5 * bent.max()  # flanks less than crests
 
@@ -121,27 +120,68 @@ def test_what_the_errors_of_the_law_explain_is_no_misfit():
     other = exact.data._replace(intensity_sum=exact.data.pixel_count * seen)
     wrong = exact._replace(data=other)
     before = misfit(wrong)
-    told = misfit(wrong._replace(data=with_errors(wrong)), other)
-    assert told < 0.3 * before
+    assert misfit(with_errors(wrong)) < 0.3 * before
+
+
+def with_trend(fit, height, change):
+    """The fit's histogram of ripples whose log height changes over range, block by block."""
+    across = (fit.data.place - fit.data.place.min()) / np.ptp(fit.data.place)
+    seen = np.empty_like(fit.data.pixel_count)
+    for k, scale in enumerate(np.exp(change * np.cos(np.pi * across))):
+        truth = ripple(height * scale, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
+        seen[k] = noiseless(truth, fit.data, fit.geometry).intensity_sum[k]
+    return fit._replace(data=fit.data._replace(intensity_sum=seen))
 
 
 def test_what_heights_that_change_over_range_explain_is_no_misfit():
-    exact = fit_of(6, np.ones((6, BINS)), height=0.05)
-    place = exact.data.place
-    change = 0.15 * np.cos(np.pi * (place - place.min()) / np.ptp(place))
-    seen = np.empty_like(exact.data.pixel_count)
-    for k, height in enumerate(0.05 * np.exp(change)):
-        truth = ripple(height, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
-        seen[k] = noiseless(truth, exact.data, exact.geometry).intensity_sum[k]
-    wrong = exact._replace(data=exact.data._replace(intensity_sum=seen))
+    wrong = with_trend(fit_of(6, np.ones((6, BINS)), height=0.05), 0.05, 0.15)
     before = misfit(wrong)
-    told = misfit(wrong._replace(data=with_errors(wrong)), wrong.data)
+    told = misfit(with_errors(wrong))
     assert told < 0.35 * before
     # a law alone, or a profile, does not explain it
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(errors, "HEIGHT_TREND", ())
-        alone = misfit(wrong._replace(data=with_errors(wrong)), wrong.data)
+        level = wrong.geometry._replace(height_trend=np.zeros(0))
+        alone = misfit(with_errors(wrong._replace(geometry=level)))
     assert told < 0.6 * alone
+
+
+def climbed(fit):
+    """The fit at the peak of its histogram."""
+    return fit._replace(peaks=[fisher_scoring(fit.z, fit.data, fit.geometry)])
+
+
+@pytest.mark.parametrize("change", [-0.07, 0.07])
+def test_heights_in_shadow_that_change_over_range_keep_their_mean(change):
+    height = 0.12
+    fit = climbed(with_trend(fit_of(8, np.ones((8, BINS)), height=height), height, change))
+    about_none, about_fitted = climbed(with_errors(fit)), fit
+    for _ in range(4):
+        about_fitted = climbed(linearised(about_fitted))
+    found = about_fitted.geometry.height_trend[0]
+    assert found == pytest.approx(change, rel=0.25)
+    about_none, about_fitted = (
+        abs(np.log(parameters_at(f.z, f.geometry).height / height))
+        for f in (about_none, about_fitted)
+    )
+    assert about_fitted < 0.02
+    assert about_fitted < about_none
+
+
+def test_linearising_changes_nothing_where_nothing_errs():
+    plain = linearised(fit_of(4, np.ones((4, BINS)), height=0.08))
+    assert abs(plain.geometry.height_trend).max() < 1e-3
+    np.testing.assert_allclose(plain.data.error_fitted, 0.0, atol=0.02)
+
+
+def test_errors_that_the_geometry_contains_are_not_forgiven_twice():
+    wrong = climbed(with_trend(fit_of(6, np.ones((6, BINS)), height=0.05), 0.05, 0.1))
+    once = with_errors(wrong)
+    told = linearised(wrong)
+    one, other = (log_posterior(f.z, f.data, f.geometry) for f in (once, told))
+    assert other == pytest.approx(
+        one, abs=0.05 * abs(log_posterior(*(wrong.z, wrong.data, wrong.geometry)))
+    )
 
 
 def test_tilt_is_the_scatter_of_the_wave_number_under_errors_of_each_range():
@@ -165,7 +205,7 @@ def test_more_range_tells_the_wave_number_better():
 
 def test_heights_that_change_over_range_may_turn_the_phase_by_as_much():
     steep = fit_of(6, np.ones((6, BINS)), height=0.12, noise=1e-3)
-    bent = steep._replace(data=with_errors(steep), phase=SimpleNamespace(rigid=False))
+    bent = with_errors(steep)._replace(phase=SimpleNamespace(rigid=False))
     place = steep.data.place
     across = (place - place.min()) / np.ptp(place)
     truth = parameters_at(steep.z, steep.geometry)
@@ -190,7 +230,7 @@ def test_without_errors_nothing_turns():
 
 def test_blur_and_noise_slope_are_integrated_out_of_the_sampled_density():
     plain = fit_of(4, np.ones((4, BINS)), height=0.08)
-    plain = plain._replace(data=with_errors(plain))
+    plain = with_errors(plain)
     free, given, fixed = [], [], []
     whole = with_fixed_parameters(plain)
     for step in np.linspace(-0.01, 0.01, 5):
@@ -201,5 +241,5 @@ def test_blur_and_noise_slope_are_integrated_out_of_the_sampled_density():
         best = fisher_scoring(z, plain.data, plain.geometry, free=np.array([NOISE_SLOPE, BLUR]))
         free.append(best.level)
     free, given, fixed = (np.subtract(v[2], v)[[0, 1, 3, 4]] for v in (free, given, fixed))
-    assert (fixed > 1.5 * free).all()
+    assert (fixed > 1.2 * free).all()
     np.testing.assert_allclose(given, free, rtol=0.3, atol=0.1)

@@ -178,7 +178,8 @@ def test_gradient_with_errors_of_the_model():
     gain = np.linalg.inv((flat * data.pixel_count.ravel()) @ flat.T + np.eye(2))
     z = point_at(truth, where) + 0.05
     free = free_coordinates(where)
-    wide = data._replace(errors=errors.copy(), error_gain=gain)
+    given = {"errors": errors.copy(), "error_gain": gain, "error_fitted": np.array([0.4, -0.2])}
+    wide = data._replace(**given)
     plain, with_errors = (_slope(z, d, where, free) for d in (data, wide))
     # a misfit of that shape is forgiven
     assert log_posterior(z, wide, where) > log_posterior(z, data, where) + 10

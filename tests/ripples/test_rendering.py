@@ -288,8 +288,9 @@ def test_a_height_that_is_none_reads_nothing_beyond_an_array(height):
 
 def test_slope_across_the_look_widens_facets():
     facets = np.empty((5, 96))
-    where = geometry(0.5, 20.0, 5.0, across=0.4)
-    fill_facets(ripple(0.08), 0.5, where, facets)
+    profile = np.empty((2, 96))
+    fill_profile(0.0, 0.0, np.zeros(2), *profile)
+    fill_facets(0.08, 0.5, 0.4, profile, facets)
     x = 2 * np.pi * (np.arange(96) + 0.5) / 96
     along, beside = (2 * np.pi * 0.08 * w * np.cos(x) for w in (0.5, 0.4))
     np.testing.assert_allclose(facets[1], along, atol=1e-3)
@@ -390,3 +391,16 @@ def test_likelihood_is_of_the_pixels_not_of_their_order_or_the_maps_origin():
         levels.append(log_posterior(z, data, where))
     assert levels[1] == pytest.approx(levels[0], rel=1e-10)
     assert levels[2] == pytest.approx(levels[0], rel=1e-7)
+
+
+def test_heights_that_change_over_range_are_rendered_at_each_block():
+    reach = np.linspace(14.0, 22.0, 9)
+    data, where = empty(reach, 3.0), geometry(0.5, 18.0, 3.0)
+    trend = np.array([0.1, -0.05, 0.02])
+    pulses, lags = pulses_of(ripple(0.2), data, where._replace(height_trend=trend))
+    across = (reach - reach[0]) / np.ptp(reach)
+    change = sum(a * np.cos(np.pi * k * across) for k, a in enumerate(trend, 1))
+    for k, scale in enumerate(np.exp(change)):
+        alone, lag = pulses_of(ripple(0.2 * scale), data, where)
+        np.testing.assert_allclose(pulses[k], alone[k], atol=1e-12)
+        assert lags[k] == pytest.approx(lag[k])
