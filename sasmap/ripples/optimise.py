@@ -188,7 +188,7 @@ def fisher_scoring(
     for _ in range(rounds):
         scale = np.diag(information)
         step = covariance_of(information + damping * np.diag(scale)) @ gradient
-        step *= min(1.0, LONGEST / np.abs(step).max())
+        step *= LONGEST / max(LONGEST, np.abs(step).max())
         trial = z.copy()
         trial[free] += step
         reached = log_posterior(trial, data, geometry)
