@@ -33,7 +33,8 @@ STRAIGHT = np.array([1.03, 1.012, 1.004, 1.004, 1.003, 1.003, 1.003])
 # Error of the phase's mean slope, as a share of the phase's wander, and in cycles over the clip for
 # one fork, growing with the square root of their number (pipelines/ripples/coherent.py).
 WANDER_SHARE, FORK_TURN = 0.2, 0.075
-# The same share for bends that are too slight for a field to be followed.
+# The same share for bends that are too slight for a field to be followed (90 coherent cells with a
+# wander of 0.2 to 0.9 rad over 5 to 10 m; without it f was off by 2.35 standard deviations, rms).
 SLIGHT_SHARE = 0.4
 
 

@@ -233,14 +233,13 @@ def test_blur_and_noise_slope_are_integrated_out_of_the_sampled_density():
     plain = with_errors(plain)
     free, given, fixed = [], [], []
     whole = with_fixed_parameters(plain)
-    for step in np.linspace(-0.01, 0.01, 5):
+    for step in (-0.005, 0.0, 0.005):
         z = plain.z.copy()
         z[HEIGHT] += step
         fixed.append(log_posterior(z, plain.data, plain.geometry))
         given.append(log_posterior(z, whole, plain.geometry))
         best = fisher_scoring(z, plain.data, plain.geometry, free=np.array([NOISE_SLOPE, BLUR]))
         free.append(best.level)
-    free, given, fixed = (np.subtract(v[2], v)[[0, 1, 3, 4]] for v in (free, given, fixed))
-    assert (fixed > 1.2 * free).all()
-    assert (abs(given - free) < 0.8 * abs(fixed - free)).all()
-    np.testing.assert_allclose(given, free, rtol=0.45)
+    free, given, fixed = (np.subtract(v[1], v)[[0, 2]] for v in (free, given, fixed))
+    assert (fixed > 1.5 * free).all()
+    np.testing.assert_allclose(given, free, rtol=0.2)
