@@ -35,9 +35,10 @@ LEAST_LIGHT = 1e-4
 LAW_ERROR = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8)
 THIRD_HARMONIC = (0.03, 0.03)
 # Change of log A_H over the range of a clip: standard deviations of its first cosines; and step of
-# finite differences with respect to log A_H. Of 53 cells of an independent simulator, whose heights change by factors of
-# 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 % without it, 1 with 0.07
-# and 1 with 0.1, where calibration is worse (pipelines/ripples/calibration.py).
+# finite differences with respect to log A_H. Of 53 cells of an independent simulator, whose heights
+# change by factors of 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 %
+# without it, 1 with 0.07 and 1 with 0.1, where calibration is worse
+# (pipelines/ripples/calibration.py).
 HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
 # Step of the finite difference for the errors above, standard deviations; shares of the step to
 # the fitted heights that are tried in turn.
