@@ -239,33 +239,29 @@ def with_fitted_errors(fit: Fit) -> FloatArray:
     return np.asarray(means * np.exp((_fitted(fit, means) @ errors).reshape(means.shape)))
 
 
-def misfit_of(fit: Fit, whole: Histogram, pixel_size: float) -> float:
+def misfit_of(fit: Fit, whole: Histogram) -> float:
     """Root mean square relative error of the expected intensity, beyond speckle.
 
     Computed over cells (groups of range and parts of phase), after the model errors that the
-    likelihood allows for are fitted, and beyond the displacement that it allows for. Dark cells
-    weigh less, by the square of their intensity, because side lobes brighten them.
+    likelihood allows for are fitted. Dark cells weigh less, by the square of their intensity,
+    because side lobes brighten them.
 
     Parameters
     ----------
     fit : Fit
     whole : Histogram
         With all pixels of weight 1.
-    pixel_size : float
-        m.
 
     Returns
     -------
     float
     """
     means = with_fitted_errors(fit)
-    moved = whole.pixel_count * _displacement(fit, means, pixel_size)
-    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means, moved
-    pixels, seen, expected, displaced = (in_cells(whole, v) for v in sums)
+    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means
+    pixels, seen, expected = (in_cells(whole, v) for v in sums)
     count = np.maximum(pixels, 1.0)
     bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
-    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2
-    beyond -= (fit.noise_factor + displaced) / count
+    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
     return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))
 
 

@@ -51,7 +51,7 @@ FIELD_HEIGHT = 0.06
 MISFIT, FIELD_MISFIT = (4.0, 0.15), (2.0, 0.2)
 # Misfit of lit sea floor that remains where all waves have one height, and error of log A_H per
 # unit beyond it (pipelines/studies/varying.py).
-ONE_HEIGHT, VARYING = 0.03, 2.2
+ONE_HEIGHT, VARYING = 0.01, 2.2
 # Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
 # certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06

@@ -218,7 +218,7 @@ def refined(task: Task, fit: Fit) -> Fit:
     another = found[0] is not fit.peaks[0]
     fit = fit._replace(peaks=found)
     fit = reweighted(fit, whole, image.pixel_size) if another else fit
-    misfit = misfit_of(fit, whole, image.pixel_size)
+    misfit = misfit_of(fit, whole)
     tilt = slope_error(fit, whole, image.pixel_size)
     return fit._replace(misfit=misfit, tilt=tilt, across=across_look(image, fit, whole, used))
 

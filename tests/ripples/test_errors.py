@@ -41,8 +41,8 @@ def weights(fit):
 
 
 def misfit(fit, data=None):
-    """Misfit of a fit to its own histogram, or another, in pixels too small to displace it."""
-    return misfit_of(fit, fit.data if data is None else data, 1e-6)
+    """Misfit of a fit to its own histogram, or another."""
+    return misfit_of(fit, fit.data if data is None else data)
 
 
 def worth(fit):
