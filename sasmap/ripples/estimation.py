@@ -55,7 +55,7 @@ ONE_HEIGHT, VARYING = 0.01, 2.2
 # Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
 # certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
-# Largest error of log A_H in total, as a share of the prior standard deviation of log steepness.
+# Largest error of log A_H in total, as a share of its prior standard deviation.
 UNKNOWN = 0.8
 # Draws from which the lag's slope over range is learned.
 LAG_DRAWS = 60
@@ -345,7 +345,9 @@ def _labelled(
     # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     error = np.hypot(_height_error(fit), crossing)
-    most = (UNKNOWN * fit.geometry.steepness_sd) ** 2 - float(np.log(named["height"]).var())
+    height = float(named["height"].mean())
+    known = min(fit.geometry.steepness_sd, fit.geometry.height_sd / height)  # of log A_H, a priori
+    most = (UNKNOWN * known) ** 2 - float(np.log(named["height"]).var())
     error = min(error, np.sqrt(max(most, 0.0)))
     # of mean 1
     named["height"] *= np.exp(error * rng.standard_normal(shape) - 0.5 * error**2)

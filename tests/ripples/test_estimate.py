@@ -305,7 +305,7 @@ def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
 
 
 def test_waves_of_unlike_heights_widen_height_and_frequency():
-    fit = SimpleNamespace(phase=SimpleNamespace(rigid=True), noise_factor=1.0, misfit=0.02)
+    fit = SimpleNamespace(phase=SimpleNamespace(rigid=True), noise_factor=1.0, misfit=0.01)
     assert estimation._height_error(fit) == 0.0  # waves that are alike
     few, many = (
         estimation._height_error(SimpleNamespace(**{**vars(fit), "misfit": m})) for m in (0.1, 0.2)
