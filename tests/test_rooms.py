@@ -16,14 +16,15 @@ MAY = {
     "numerics": set(),
     "io": set(),
     "ripples": {"numerics"},
+    "passes": {"numerics", "ripples"},
     "sediments": {"numerics"},
     "settings": {"ripples", "io"},
     "survey": {"settings", "io", "numerics", "ripples", "sediments"},
-    "products": {"io", "ripples", "sediments", "survey"},
+    "products": {"io", "ripples", "passes", "sediments", "survey"},
     "simulate": {"settings", "io", "products", "ripples"},
-    "run": {"settings", "io", "numerics", "ripples", "sediments", "survey", "products"},
+    "run": {"settings", "io", "numerics", "ripples", "passes", "sediments", "survey", "products"},
 }
-NUMBERS_ONLY = ("numerics", "ripples", "sediments")
+NUMBERS_ONLY = ("numerics", "ripples", "passes", "sediments")
 OUTSIDE = {"dask", "distributed", "rasterio", "pyogrio", "pyproj", "shapely", "matplotlib"}
 
 

@@ -25,10 +25,10 @@ from typing import NamedTuple
 import numpy as np
 from zare_cobb_tables import simulate_clip as table_clip
 
+from sasmap.passes.fusion import FusedCell, fuse, fuse_cells, learn_survey, next_prior
+from sasmap.passes.shared import SurveyModel
+from sasmap.passes.summary import Summary, summarise
 from sasmap.ripples import Clip, Quality, RippleSettings, estimate
-from sasmap.ripples.fusion import FusedCell, fuse, fuse_cells, learn_survey, next_prior
-from sasmap.ripples.summary import Summary, summarise
-from sasmap.ripples.survey import SurveyModel
 from sasmap.simulate import Scene, coherent_cell, simulate_clip
 from sasmap.simulate.laws import PowerLaw
 

@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
+from sasmap.passes.fusion import fuse_cells, learn_survey
+from sasmap.passes.shared import quantiles_of
+from sasmap.passes.summary import Summary, summarise
 from sasmap.ripples import Quality, RippleSettings, estimate
-from sasmap.ripples.fusion import fuse_cells, learn_survey
-from sasmap.ripples.summary import Summary, summarise
-from sasmap.ripples.survey import quantiles_of
 from sasmap.simulate import coherent_cell
 from sasmap.simulate.laws import PowerLaw
 

@@ -15,9 +15,9 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from sasmap.passes.fusion import FusedCell, fuse_cells, learn_survey
+from sasmap.passes.summary import summarise
 from sasmap.ripples import Clip, Quality, RippleSettings, estimate
-from sasmap.ripples.fusion import FusedCell, fuse_cells, learn_survey
-from sasmap.ripples.summary import summarise
 from sasmap.simulate import coherent_cell
 
 PIXEL = 0.025

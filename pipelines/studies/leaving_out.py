@@ -21,10 +21,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.special import gammaincinv, ndtr
 
+from sasmap.passes.fusion import fuse_cells, learn_survey
+from sasmap.passes.summary import Summary, summarise
 from sasmap.ripples import Clip, Posterior, Quality, RippleSettings, estimate
-from sasmap.ripples.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import LeftOut
-from sasmap.ripples.summary import Summary, summarise
 from sasmap.sediments import k_distribution
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.mapping import refine_map

@@ -22,11 +22,11 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import gammaincinv, ndtr
 
 from sasmap.numerics.gaussians import Mixture, log_densities
+from sasmap.passes.fusion import fuse, fuse_cells, learn_survey
+from sasmap.passes.summary import summarise
 from sasmap.ripples import Clip, Prior, RippleSettings, estimate
 from sasmap.ripples.diagnostics import ess_bulk, rhat
-from sasmap.ripples.fusion import fuse, fuse_cells, learn_survey
 from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
-from sasmap.ripples.summary import summarise
 from sasmap.sediments import fit, generalized_k, k_distribution
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.nodes import refine_boundary

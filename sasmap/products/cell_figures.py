@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from sasmap.passes.fusion import FusedCell
 from sasmap.products.colours import Colour
 from sasmap.products.figures import INK, Picture, encoded, plain, scale_bar
-from sasmap.ripples.fusion import FusedCell
 from sasmap.sediments.fitting import Law
 
 # Maximum number of pass names that fit side by side under a figure.

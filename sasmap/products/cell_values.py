@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.catalogue import CATALOGUE, Product
-from sasmap.ripples.cell_estimate import CellEstimate
-from sasmap.ripples.fusion import FusedCell
+from sasmap.passes.cell_estimate import CellEstimate
+from sasmap.passes.fusion import FusedCell
+from sasmap.passes.summary import Summary
 from sasmap.ripples.posterior import Quality
-from sasmap.ripples.summary import Summary
 
 STATISTICS = ("mean", "sd", "q05", "q95")
 # Finest step of a label on a map, m.

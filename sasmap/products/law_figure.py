@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
+from sasmap.passes.shared import SurveyModel, quantiles_of
 from sasmap.products.figures import Picture, encoded
-from sasmap.ripples.survey import SurveyModel, quantiles_of
 
 FloatArray = NDArray[np.float64]
 

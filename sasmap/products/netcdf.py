@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sasmap.catalogue import Band
 from sasmap.io.files import written_whole
+from sasmap.passes.shared import SurveyModel
 from sasmap.products.cell_values import (
     STATISTICS,
     VALUES,
@@ -27,7 +28,6 @@ from sasmap.products.cell_values import (
 )
 from sasmap.ripples.detection import Unclear
 from sasmap.ripples.posterior import JUDGED, LeftOut, Quality
-from sasmap.ripples.survey import SurveyModel
 
 # Convergence diagnostics of f, A_H and the azimuth.
 CONVERGENCE = {

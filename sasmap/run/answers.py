@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.catalogue import PROJECT, REPORT
+from sasmap.passes.cell_estimate import CellEstimate
 from sasmap.products.cell_values import measured, statistics
-from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.posterior import Quality, axial
 from sasmap.run.manifest import Outcome
 from sasmap.run.plan import Plan

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sasmap.ripples.fusion import FusedCell
-from sasmap.ripples.summary import Summary
+from sasmap.passes.fusion import FusedCell
+from sasmap.passes.summary import Summary
 from sasmap.run.plan import Swath
 
 # Degrees between crest normal and look below which crests run along the track; relative difference

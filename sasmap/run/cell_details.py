@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from sasmap.errors import fault_of
+from sasmap.passes.cell_estimate import CellEstimate
 from sasmap.products.cell_figures import CellPicture, cell_figure
 from sasmap.products.cell_values import ADVICE, MEANINGS, measured, statistics
-from sasmap.ripples.cell_estimate import CellEstimate
 from sasmap.ripples.clip import Clip, mean_look
 from sasmap.ripples.posterior import Quality
 from sasmap.run.manifest import Outcome

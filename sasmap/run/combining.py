@@ -9,7 +9,7 @@ import numpy as np
 import rasterio
 from rasterio.windows import from_bounds
 
-from sasmap.ripples.fusion import fuse_cells, learn_survey
+from sasmap.passes.fusion import fuse_cells, learn_survey
 from sasmap.ripples.posterior import Quality
 from sasmap.run.manifest import Outcome
 from sasmap.run.overlaps import Place, apart

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from sasmap.catalogue import MANIFEST
 from sasmap.io.jsonfile import write_json
-from sasmap.ripples.fusion import FusedCell
+from sasmap.passes.fusion import FusedCell
+from sasmap.passes.shared import SurveyModel, quantiles_of
+from sasmap.passes.summary import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.settings import RippleSettings, scattering_law
-from sasmap.ripples.summary import Summary
-from sasmap.ripples.survey import SurveyModel, quantiles_of
 from sasmap.run.plan import Plan, crs_name
 from sasmap.run.store import Store, code_version
 

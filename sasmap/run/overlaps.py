@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.summary import Summary
+from sasmap.passes.summary import Summary
 from sasmap.run.plan import Plan
 from sasmap.survey.cells import CellGrid
 

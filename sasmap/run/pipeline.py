@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from sasmap.catalogue import BY_FILE, LOG, MANIFEST, RIPPLE_PRODUCTS, SEDIMENT_PRODUCTS
 from sasmap.errors import InputError, fault_of
 from sasmap.io.rasters import float_layer, write_large_cog
+from sasmap.passes.summary import Summary
 from sasmap.products.cell_values import cell_results
 from sasmap.products.colours import QUALITY_COLOURS
 from sasmap.products.model import ModelledAmplitude
@@ -24,7 +25,6 @@ from sasmap.products.qgis.styles import categories
 from sasmap.products.ripples import write_cells, write_ripple_rasters
 from sasmap.products.stac import write_stac
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.summary import Summary
 from sasmap.run.answers import summary_lines
 from sasmap.run.bands import bands_or_ripples
 from sasmap.run.combining import combine_cells

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.io.files import write_text, written_whole
-from sasmap.ripples.derived import Derived
+from sasmap.passes.derived import Derived
+from sasmap.passes.summary import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.summary import Summary
 from sasmap.version import VERSION
 
 FOLDER = ".sasmap"

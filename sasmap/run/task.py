@@ -14,16 +14,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sasmap.errors import fault_of
+from sasmap.passes.fusion import next_prior
+from sasmap.passes.summary import Summary, summarise
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.detection import Unclear
 from sasmap.ripples.estimation import MIN_PIXELS, estimate
 from sasmap.ripples.extent import ripple_extent
-from sasmap.ripples.fusion import next_prior
 from sasmap.ripples.image import as_image, on_clip
 from sasmap.ripples.posterior import LeftOut, Posterior, Quality
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.settings import RippleSettings
-from sasmap.ripples.summary import Summary, summarise
 from sasmap.run.plan import Plan, Swath
 from sasmap.run.store import Store, code_version, digest
 from sasmap.survey.cells import Cell, CellGrid

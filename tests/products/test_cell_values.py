@@ -14,6 +14,8 @@ from affine import Affine
 import sasmap
 from sasmap.catalogue import BY_FILE, CATALOGUE, Band, Product, Ramp
 from sasmap.errors import InputError
+from sasmap.passes.cell_estimate import CellEstimate
+from sasmap.passes.derived import Derived
 from sasmap.products.cell_values import (
     VALUES,
     attributes,
@@ -25,8 +27,6 @@ from sasmap.products.cell_values import (
 from sasmap.products.netcdf import _combined
 from sasmap.products.ranges import padded_range, range_of
 from sasmap.products.ripples import write_ripple_rasters
-from sasmap.ripples.cell_estimate import CellEstimate
-from sasmap.ripples.derived import Derived
 
 
 def read(folder, name):

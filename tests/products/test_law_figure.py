@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from sasmap.passes.looks import Shared
+from sasmap.passes.shared import Population, SurveyModel, merged
 from sasmap.products.law_figure import law_caption, law_figure, level
-from sasmap.ripples.looks import Shared
-from sasmap.ripples.survey import Population, SurveyModel, merged
 
 
 def model(sd, learned=True):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
+from sasmap.passes.summary import summarise
 from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.detection import Unclear, Wave, find_waves
 from sasmap.ripples.estimation import second_system
@@ -10,7 +11,6 @@ from sasmap.ripples.flattening import flattened
 from sasmap.ripples.image import as_image
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import Prior
-from sasmap.ripples.summary import summarise
 from tests.helpers import clip_of
 
 BOUNDS = (0.05, 5.0)

@@ -11,8 +11,8 @@ import xarray as xr
 from affine import Affine
 
 import sasmap
+from sasmap.passes.summary import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.summary import Summary
 from sasmap.run import combining
 from sasmap.run.cost import cost_of
 from sasmap.run.overlaps import apart, blended, covered, met, sharing

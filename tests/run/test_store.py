@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 
-from sasmap.ripples.derived import Derived
+from sasmap.passes.derived import Derived
+from sasmap.passes.summary import Summary
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.summary import Summary
 from sasmap.run.store import Store, code_version, digest
 
 DONE = Summary(

@@ -24,21 +24,21 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from sasmap.ripples.evidence import MOST_SPREAD, SCATTER, SHARE_LOGIT, CellEvidence
-from sasmap.ripples.looks import (
+from sasmap.passes.evidence import MOST_SPREAD, SCATTER, SHARE_LOGIT, CellEvidence
+from sasmap.passes.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
     SHIFT_SD,
     Looks,
     Shared,
 )
+from sasmap.passes.summary import contrast_slopes, log_contrast
 from sasmap.ripples.sampler import (
     LogDensity,
     metropolis_hastings,
     mixture_of_peaks,
     population,
 )
-from sasmap.ripples.summary import contrast_slopes, log_contrast
 
 FloatArray = NDArray[np.float64]
 

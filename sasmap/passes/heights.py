@@ -12,9 +12,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.information import Information, widened
-from sasmap.ripples.looks import NONE, Looks, Shared
-from sasmap.ripples.summary import LEAST_CONTRAST
+from sasmap.passes.information import Information, widened
+from sasmap.passes.looks import NONE, Looks, Shared
+from sasmap.passes.summary import LEAST_CONTRAST
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Told(NamedTuple):
     law_linear, law_precision : ndarray (N, K, 2), (N, K, 2, 2)
         Of the likelihoods of the law.
     by_shape : ndarray (N,)
-        As in :class:`sasmap.ripples.looks.LawLikelihood`.
+        As in :class:`sasmap.passes.looks.LawLikelihood`.
     contrast : ndarray (N, 3)
         Contrast per slope: coefficients of n and of c, and the part that is independent of the law.
     """

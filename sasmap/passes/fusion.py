@@ -19,16 +19,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.agreement import agreeing, distances_of, together
-from sasmap.ripples.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
-from sasmap.ripples.combination import after_each
-from sasmap.ripples.looks import Looks, collect
+from sasmap.passes.agreement import agreeing, distances_of, together
+from sasmap.passes.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
+from sasmap.passes.combination import after_each
+from sasmap.passes.looks import Looks, collect
+from sasmap.passes.registration import Moves, left_over, registration
+from sasmap.passes.shared import LEAST_LOOKS, MOST_SEDIMENTS, SurveyModel, learn, numbered
+from sasmap.passes.summary import NAN, Summary
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import Prior
-from sasmap.ripples.registration import Moves, left_over, registration
 from sasmap.ripples.settings import RippleSettings
-from sasmap.ripples.summary import NAN, Summary
-from sasmap.ripples.survey import LEAST_LOOKS, MOST_SEDIMENTS, SurveyModel, learn, numbered
 
 # Standard deviations of f and A_H that Zare and Cobb (2013) set by hand: cycles/m and m.
 PUBLISHED_SD = (0.003, 0.17)
@@ -80,7 +80,7 @@ def learn_survey(
     seed: int = 0,
     classes: Sequence[int] | None = None,
 ) -> SurveyModel:
-    """Estimate the shared parameters of a survey; see :func:`sasmap.ripples.survey.learn`.
+    """Estimate the shared parameters of a survey; see :func:`sasmap.passes.shared.learn`.
 
     Parameters
     ----------

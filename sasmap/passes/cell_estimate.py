@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.derived import UNKNOWN as UNDERIVED
-from sasmap.ripples.derived import Derived
+from sasmap.passes.derived import UNKNOWN as UNDERIVED
+from sasmap.passes.derived import Derived
+from sasmap.passes.summary import NAN, Summary
 from sasmap.ripples.mixture import Marginal, marginals, weighted
 from sasmap.ripples.settings import RippleSettings
-from sasmap.ripples.summary import NAN, Summary
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.numerics.gaussians import Mixture
-from sasmap.ripples.derived import UNKNOWN, Derived, derived_of_draws
+from sasmap.passes.derived import UNKNOWN, Derived, derived_of_draws
 from sasmap.ripples.diagnostics import ess_bulk
 from sasmap.ripples.mixture import fit_mixture
 from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality, axial

@@ -13,9 +13,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.evidence import MOST_KEPT, with_prior
-from sasmap.ripples.heights import of_look, to_height, told_by
-from sasmap.ripples.information import (
+from sasmap.passes.evidence import MOST_KEPT, with_prior
+from sasmap.passes.heights import of_look, to_height, told_by
+from sasmap.passes.information import (
     Information,
     add,
     begin,
@@ -26,9 +26,9 @@ from sasmap.ripples.information import (
     substitute,
     workspace,
 )
-from sasmap.ripples.looks import NONE, Looks, law_factor, steepness_factor
+from sasmap.passes.looks import NONE, Looks, law_factor, steepness_factor
+from sasmap.passes.shared import SurveyModel
 from sasmap.ripples.mixture import weighted
-from sasmap.ripples.survey import SurveyModel
 
 FloatArray = NDArray[np.float64]
 

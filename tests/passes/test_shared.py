@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sasmap.ripples import RippleSettings
-from sasmap.ripples.agreement import agreeing, distances_of, together
-from sasmap.ripples.evidence import with_prior
-from sasmap.ripples.fusion import fuse_cells, learn_survey
-from sasmap.ripples.heights import without_scatter
-from sasmap.ripples.information import Information, moments, products, widened
-from sasmap.ripples.looks import (
+from sasmap.passes.agreement import agreeing, distances_of, together
+from sasmap.passes.evidence import with_prior
+from sasmap.passes.fusion import fuse_cells, learn_survey
+from sasmap.passes.heights import without_scatter
+from sasmap.passes.information import Information, moments, products, widened
+from sasmap.passes.looks import (
     LAW,
     LAW_MEAN,
     LAW_VARIANCE,
@@ -23,11 +22,12 @@ from sasmap.ripples.looks import (
     law_factor,
     steepness_factor,
 )
+from sasmap.passes.shared import SurveyModel
+from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
+from sasmap.ripples import RippleSettings
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import contrast_per_slope
-from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
-from sasmap.ripples.survey import SurveyModel
 
 SETTINGS = RippleSettings()
 ALTITUDE = 5.0

@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.information import Information, widened
+from sasmap.passes.information import Information, widened
+from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
 from sasmap.ripples.sampler import log_sum
-from sasmap.ripples.summary import Summary, contrast_slopes, log_contrast
 
 FloatArray = NDArray[np.float64]
 

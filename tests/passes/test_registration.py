@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sasmap.ripples.registration import Moves, left_over, registration
+from sasmap.passes.registration import Moves, left_over, registration
 
 
 def crests(rng, shifts, cells, migrated=(), azimuth=None):

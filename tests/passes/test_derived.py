@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from sasmap.passes.cell_estimate import estimates
+from sasmap.passes.derived import derived_of_draws
 from sasmap.ripples import RippleSettings
-from sasmap.ripples.cell_estimate import estimates
-from sasmap.ripples.derived import derived_of_draws
 
 
 def test_a_mixture_and_its_draws_say_the_same():

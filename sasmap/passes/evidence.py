@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sasmap.ripples.heights import with_scatter, without_scatter
-from sasmap.ripples.information import Information, products
-from sasmap.ripples.looks import (
+from sasmap.passes.heights import with_scatter, without_scatter
+from sasmap.passes.information import Information, products
+from sasmap.passes.looks import (
     LAW_MEAN,
     LAW_VARIANCE,
     LEAST_LEVEL,

@@ -7,11 +7,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.evidence import with_prior
-from sasmap.ripples.heights import at_height, with_scatter, without_scatter
-from sasmap.ripples.information import Information, moments
-from sasmap.ripples.looks import LAW, LOG_HEIGHT, Looks, law_factor, steepness_factor
-from sasmap.ripples.survey import SurveyModel
+from sasmap.passes.evidence import with_prior
+from sasmap.passes.heights import at_height, with_scatter, without_scatter
+from sasmap.passes.information import Information, moments
+from sasmap.passes.looks import LAW, LOG_HEIGHT, Looks, law_factor, steepness_factor
+from sasmap.passes.shared import SurveyModel
 
 FloatArray = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sasmap.passes.summary import ALTITUDE_GAIN, _altitude_gain
 from sasmap.ripples.posterior import dataset
-from sasmap.ripples.summary import ALTITUDE_GAIN, _altitude_gain
 
 
 def draws(slope, scale_sd, height_sd):

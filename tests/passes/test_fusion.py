@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sasmap.passes.agreement import LIMIT
+from sasmap.passes.cell_estimate import UNKNOWN
+from sasmap.passes.fusion import cell_quality, fuse, fuse_cells, learn_survey, next_prior
+from sasmap.passes.summary import Summary, summarise
 from sasmap.ripples import RippleSettings, estimate
-from sasmap.ripples.agreement import LIMIT
-from sasmap.ripples.cell_estimate import UNKNOWN
-from sasmap.ripples.fusion import cell_quality, fuse, fuse_cells, learn_survey, next_prior
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.summary import Summary, summarise
 from tests.ripples.engine import coherent
 
 SETTINGS = RippleSettings(shadow="crest", scatter=(0, 0, 0))
