@@ -189,10 +189,8 @@ def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
     BoxSums
     """
     along, across = box_places(image, boxes)
-    look = image.look
     change = wave - boxes.wave
-    beside = change @ np.array([look[1], -look[0]])
-    turn = np.exp(-2j * np.pi * (change @ look * along + beside * across))
+    turn = np.exp(-2j * np.pi * (change @ image.look * along + change @ image.beside * across))
     return replace(boxes, wave=wave, turned=boxes.turned * turn)
 
 
@@ -267,9 +265,8 @@ def box_places(image: Image, boxes: BoxSums) -> tuple[FloatArray, FloatArray]:
     rows, columns = image.shape
     down = (np.arange(boxes.count.shape[0]) + 0.5) * boxes.size - 0.5 - (rows - 1) / 2
     right = (np.arange(boxes.count.shape[1]) + 0.5) * boxes.size - 0.5 - (columns - 1) / 2
-    look = image.look
     result = []
-    for direction in (look, np.array([look[1], -look[0]])):
+    for direction in (image.look, image.beside):
         per_column, per_row = direction @ image.steps
         result.append(per_column * right[None, :] + per_row * down[:, None])
     return result[0], result[1]
@@ -298,10 +295,7 @@ def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
         turn = turn + step
         if (np.abs(step) * spread).max() < 1e-5:
             break
-    look = image.look
-    return np.asarray(
-        boxes.wave + (turn[0] * look + turn[1] * np.array([look[1], -look[0]])) / (2 * np.pi)
-    )
+    return np.asarray(boxes.wave + (turn[0] * image.look + turn[1] * image.beside) / (2 * np.pi))
 
 
 def covered_boxes(image: Image, boxes: BoxSums) -> tuple[BoolArray, float]:

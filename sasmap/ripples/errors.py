@@ -67,7 +67,8 @@ def linearised(fit: Fit) -> Fit:
     fit = with_errors(fit)
     if fit.geometry.published:
         return fit
-    heights = slice(len(_beside(fit.geometry)) - len(HEIGHT_TREND), len(_beside(fit.geometry)))
+    end = len(_beside(fit.geometry))
+    heights = slice(end - len(HEIGHT_TREND), end)
     here, level = fit.data.error_fitted[heights], _level(fit, heights)
     step = _fitted(fit, expected_at(fit, fit.z)[0])[heights]
     for share in SHARES:

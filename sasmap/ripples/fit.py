@@ -121,9 +121,10 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     upright = turned_back(image, boxes, lag_over_range(seen))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
     trials = trial_fields(upright)
-    phase = with_slight_bends(image, phase, trials)
     if (trials.scores >= STRAIGHT).any():
         phase = best_field(image, boxes, trial_fields(boxes))
+    else:
+        phase = with_slight_bends(image, phase, trials)
     return refined(task, fitted(task, phase, boxes.trend, search))
 
 
@@ -237,8 +238,7 @@ def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tu
     power = image.power[used] + DYNAMIC_RANGE
     residual = power / np.maximum(painted(image, fit, used, means)[used], 1e-300) - 1
     pull = residual * spread_bins(image, fit, used, weight * slope)[used]
-    look = image.look
-    x, y = (image.project(v)[used] for v in (look, np.array([look[1], -look[0]])))
+    x, y = (image.project(v)[used] for v in (image.look, image.beside))
     x, y = x - x.mean(), y - y.mean()
     y = y - (x @ y) / max(x @ x, 1e-12) * x
     told, square = (pixels * weight * slope**2).sum(), float(np.mean(y**2))
@@ -250,11 +250,10 @@ def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tu
 
 def turned(image: Image, fit: Fit, across: float) -> Fit:
     """Turn the crests of a fit to another wave number across the look, cycles/m."""
-    phase, look = fit.phase, image.look
-    offset = across - fit.geometry.across
+    phase, offset = fit.phase, across - fit.geometry.across
     phase = replace(
         phase,
-        wave=phase.wave + offset * np.array([look[1], -look[0]]),
+        wave=phase.wave + offset * image.beside,
         mean_wave=phase.mean_wave + np.array([0.0, offset]),
     )
     return fit._replace(phase=phase, geometry=fit.geometry._replace(across=across))

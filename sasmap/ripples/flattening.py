@@ -144,7 +144,7 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
 
 def _pings(image: Image) -> tuple[FloatArray, int]:
     """Pings per column, per row, and at the first pixel, and their number; one is a pixel wide."""
-    across = np.array([image.look[1], -image.look[0]]) @ image.steps / image.pixel_size
+    across = image.beside @ image.steps / image.pixel_size
     ends = across * (np.array(image.shape[::-1]) - 1)
     first = -float(np.minimum(ends, 0).sum())
     return np.array([*across, first]), int(np.rint(np.abs(ends).sum())) + 1

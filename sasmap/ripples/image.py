@@ -74,6 +74,12 @@ class Image:
         return np.array([np.sin(turn), np.cos(turn)])
 
     @property
+    def beside(self) -> FloatArray:
+        """Unit vector (east, north) across the mean look, to its right."""
+        east, north = self.look
+        return np.array([north, -east])
+
+    @property
     def pixel_size(self) -> float:
         """Square root of a pixel's area, m."""
         return float(np.sqrt(abs(np.linalg.det(self.steps))))

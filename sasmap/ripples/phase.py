@@ -161,8 +161,7 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
 
 def _along_and_across(image: Image, wave: FloatArray) -> FloatArray:
     """Components of a wave vector (east, north) along and across the look."""
-    look = image.look
-    return np.array([wave @ look, wave @ np.array([look[1], -look[0]])])
+    return np.array([wave @ image.look, wave @ image.beside])
 
 
 class FieldTrials(NamedTuple):
@@ -320,8 +319,7 @@ def _coherence_length(
     image: Image, boxes: BoxSums, field: ComplexArray, weight: FloatArray, mean: FloatArray
 ) -> float:
     """Lag at which the correlation of exp(i field), without its mean slope, falls to 1/e, m."""
-    look = image.look
-    vector = mean[0] * look + mean[1] * np.array([look[1], -look[0]]) - boxes.wave
+    vector = mean[0] * image.look + mean[1] * image.beside - boxes.wave
     per_column, per_row = image.per_pixel(vector) * boxes.size
     row, column = np.indices(weight.shape)
     level = field * np.exp(-2j * np.pi * (per_column * column + per_row * row)) * (weight > 0)

@@ -179,9 +179,20 @@ def test_errors_that_the_geometry_contains_are_not_forgiven_twice():
     once = with_errors(wrong)
     told = linearised(wrong)
     one, other = (log_posterior(f.z, f.data, f.geometry) for f in (once, told))
-    assert other == pytest.approx(
-        one, abs=0.05 * abs(log_posterior(*(wrong.z, wrong.data, wrong.geometry)))
-    )
+    plain = log_posterior(wrong.z, wrong.data, wrong.geometry)
+    assert other == pytest.approx(one, abs=0.05 * abs(plain))
+    # at the truth nothing is left to forgive, and the trend has paid its prior
+    exact = fit_of(6, np.ones((6, BINS)), height=0.05)
+    true = exact.geometry._replace(height_trend=np.array([0.1, 0.0, 0.0]))
+    seen = exact.data.pixel_count * expected_at(exact._replace(geometry=true), exact.z)[0]
+    level = exact._replace(geometry=true, data=exact.data._replace(intensity_sum=seen))
+    paid = with_errors(level)
+    fitted, gain = paid.data.error_fitted, paid.data.error_gain
+    assert np.linalg.norm(fitted) == pytest.approx(0.1 / errors.HEIGHT_TREND[0])
+    without, with_prior = (log_posterior(f.z, f.data, true) for f in (level, paid))
+    prior = 0.5 * (fitted @ gain @ fitted - fitted @ fitted)
+    assert with_prior - without == pytest.approx(prior, rel=0.02)
+    assert prior < -0.5
 
 
 def test_tilt_is_the_scatter_of_the_wave_number_under_errors_of_each_range():
