@@ -21,7 +21,8 @@ from sasmap.version import VERSION
 
 # Number of latest finished cells from whose rate the remaining time is estimated (a choice: seconds
 # to minutes).
-LATEST = 32
+# Least time, s, over which they must spread: cells kept from an earlier run end all at once.
+LATEST, LEAST_PACED = 32, 1.0
 # Parameters of glibc's heaps, and their values (choices). Threads share two heaps (M_ARENA_MAX): a
 # heap per thread keeps the memory of the thread's largest cell, 150 of 870 MB in a run of 25 Mpx
 # with two threads, and saves no time. Arrays up to 32 MB, the largest possible value, are allocated
@@ -288,7 +289,7 @@ class _Progress:
 
     def _pace(self, done: int, total: int) -> str:
         seconds = self._times[-1] - self._times[0]
-        if len(self._times) < 2 or seconds <= 0 or done == total:
+        if seconds < LEAST_PACED or done == total:
             return ""
         rate = (len(self._times) - 1) / seconds
         return f", {float(f'{rate:.3g}'):,g} a second, {duration((total - done) / rate)} left"

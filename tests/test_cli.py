@@ -83,6 +83,10 @@ def test_progress_of_both_stages_tells_the_pace_of_the_last_cells(tmp_path, caps
         progress("ripples", done, 10)
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == "ripples: 4 of 10 cells done, 0.5 a second, 12 s left"
+    for done, now in ((1, 200.0), (2, 200.0001)):  # kept from an earlier run
+        monkeypatch.setattr("sasmap.cli.time.monotonic", lambda now=now: now)
+        progress("sediments", done, 6)
+    assert capsys.readouterr().err.splitlines()[-1] == "sediments: 2 of 6 cells done"
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
