@@ -181,7 +181,7 @@ def _run(options: argparse.Namespace) -> int:
     if not options.quiet:
         for line in summary_lines(outcome):
             print(line)
-    _repeat(outcome.warnings)
+        _repeat(outcome.warnings)
     return INCOMPLETE if outcome.failures else COMPLETE
 
 
