@@ -149,6 +149,7 @@ def simulate(
         one[None],
         one,
         one,
+        one,
     )
     pulses = np.empty((n, BINS))
     fill_pulses(ripple, every, geometry, pulses, np.empty(n))

@@ -175,7 +175,7 @@ def _slope_of(fit: Fit, lower: Geometry, higher: Geometry) -> FloatArray:
 def _fitted(fit: Fit, means: FloatArray) -> FloatArray:
     """Amplitudes of the errors in the image beyond those that the geometry contains, (errors,)."""
     residuals = np.empty(means.shape)
-    fill_residuals(means, fit.data, residuals)
+    fill_residuals(means, fit.data, residuals, np.empty(means.shape))
     errors = fit.data.errors.reshape(len(fit.data.errors), -1)
     return np.asarray(fit.data.error_gain @ (errors @ residuals.ravel() - fit.data.error_fitted))
 

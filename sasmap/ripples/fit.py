@@ -276,7 +276,9 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
     """
     weight = bin_weights(fit, whole, pixel_size)
     data = whole._replace(
-        pixel_count=weight * whole.pixel_count, intensity_sum=weight * whole.intensity_sum
+        pixel_count=weight * whole.pixel_count,
+        intensity_sum=weight * whole.intensity_sum,
+        speckle_share=fit.noise_factor * weight,
     )
     fit = fit._replace(data=data)
     for _ in range(LINEARISED):

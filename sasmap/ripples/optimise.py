@@ -291,13 +291,13 @@ def _slope(
     fill_slopes(z, free, STEP, data, geometry, means, slopes, prior)
     gradient, curvature = prior.T
     count = data.pixel_count.ravel()
-    gradient = gradient + slopes @ (data.intensity_sum / means - data.pixel_count).ravel()
+    residual, pull = np.empty(means.shape), np.empty(means.shape)
+    fill_residuals(means, data, residual, pull)
+    gradient = gradient + slopes @ pull.ravel()
     information = (slopes * count) @ slopes.T
     if len(data.errors):
         errors = data.errors.reshape(len(data.errors), -1)
         shared = (slopes * count) @ errors.T @ data.error_gain
-        residual = np.empty(means.shape)
-        fill_residuals(means, data, residual)
         gradient -= shared @ (errors @ residual.ravel() - data.error_fitted)
         information -= shared @ ((errors * count) @ slopes.T)
     return gradient, information + np.diag(curvature + 1e-6)

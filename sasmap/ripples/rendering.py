@@ -136,6 +136,8 @@ class Histogram(NamedTuple):
         Inverse of the sum of their information and prior precision.
     error_fitted : ndarray (errors,)
         Amplitude of each that the geometry already contains, standard deviations.
+    speckle_share : ndarray (blocks, bins)
+        Speckle's share of the variance of each bin's relative residual; the rest is the model's.
     """
 
     pixel_count: FloatArray
@@ -150,6 +152,7 @@ class Histogram(NamedTuple):
     errors: FloatArray
     error_gain: FloatArray
     error_fitted: FloatArray
+    speckle_share: FloatArray
 
 
 class Geometry(NamedTuple):
@@ -740,7 +743,7 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
     means = np.empty(data.pixel_count.shape)
     value += fill_expected(ripple, data, geometry, means, np.empty(means.shape[0]))
     residuals = np.empty(means.shape)
-    value += fill_residuals(means, data, residuals)
+    value += fill_residuals(means, data, residuals, np.empty(means.shape))
     if data.errors.shape[0] > 0:
         shapes = data.errors.reshape(data.errors.shape[0], means.size)
         pull = np.dot(shapes, residuals.ravel()) - data.error_fitted
@@ -750,12 +753,15 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_residuals(means, data, residuals):  # type: ignore[no-untyped-def]
-    """Fill the signed root deviance of each bin times its pixels; return the log likelihood.
+def fill_residuals(means, data, residuals, pulls):  # type: ignore[no-untyped-def]
+    """Fill residuals and derivatives of the log likelihood, (blocks, bins); return the likelihood.
 
-    To first order the root is the relative residual of the intensity, but an error fitted to it
-    never gains more than the misfit costs. The likelihood is relative to that of the observed means
-    of the bins.
+    A residual times its pixels is squared in the likelihood. It lies between the signed root
+    deviance of speckle and the log of the intensity over the expected one, by the speckle's share:
+    a model is wrong by a factor, and as likely too bright as too dark, but speckle's deviance of a
+    bin ten times too bright is five times that of one ten times too dark. `pulls` are derivatives
+    with respect to the log of the expected intensity. The likelihood is relative to that of the
+    observed means of the bins.
     """
     counts, sums = data.pixel_count, data.intensity_sum
     level = 0.0
@@ -765,12 +771,15 @@ def fill_residuals(means, data, residuals):  # type: ignore[no-untyped-def]
             residuals[b, i] = 0.0
             if n <= 0.0:
                 level -= sums[b, i] / m
+                pulls[b, i] = sums[b, i] / m
                 continue
             ratio = max(sums[b, i] / (n * m), 1e-12)
-            deviance = max(2.0 * (ratio - 1.0 - np.log(ratio)), 0.0)
-            level -= 0.5 * n * deviance
-            size = np.sqrt(deviance)
-            residuals[b, i] = n * (size if ratio > 1.0 else -size)
+            log, share = np.log(ratio), data.speckle_share[b, i]
+            size = np.sqrt(max(2.0 * (ratio - 1.0 - log), 1e-24))
+            residual = share * (size if ratio > 1.0 else -size) + (1.0 - share) * log
+            level -= 0.5 * n * residual * residual
+            residuals[b, i] = n * residual
+            pulls[b, i] = n * residual * (share * abs(ratio - 1.0) / size + 1.0 - share)
     return level
 
 
