@@ -355,20 +355,21 @@ def fill_lit(elevation, part_of_range, crest, lit):  # type: ignore[no-untyped-d
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_crest_rule(  # type: ignore[no-untyped-def]
-    height, unit, wave, ground_range, altitude, lit
-):
-    """Fill each facet's lit share by the published rule (ZC 4): a ray over the preceding crest."""
+def fill_crest_rule(elevation, altitude, wave, ground_range, crest, lit):  # type: ignore[no-untyped-def]
+    """Fill each facet's lit share by the published rule (ZC 4): a ray over the preceding crest.
+
+    `elevation` is relative to the sonar, as for :func:`fill_lit`.
+    """
     n = lit.size
     before = 0.0
     for k in range(n + 1):  # from crest to crest
         past = (k + 0.5) / n
-        i = (k + n // 4) % n
+        i = (k + crest + 1) % n
         distance = past / wave
         gap = ground_range - distance
         margin = -1.0
         if gap > 0.0:
-            margin = height * (1.0 - unit[i]) - altitude * distance / gap
+            margin = elevation[crest] - elevation[i] - altitude * distance / gap
         step = abs(margin - before) if k > 0 else 0.0
         if k < n:  # the crest itself is not hidden
             share = 0.5 - margin / max(step, 1e-12) if k > 0 else 1.0
@@ -445,20 +446,23 @@ def fill_scales(trend, place, scales):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def fill_echoes(  # type: ignore[no-untyped-def]
-    wave, tangent, ground_range, crest, facets, law, power, place
+    wave, tangent, ground_range, shadow, crest, facets, law, power, place
 ):
     """Fill the power and image phase (cycles) of a wavelength's facets at a ground range.
 
-    `crest` is the index of the highest facet, below 0 where no shadow can fall. `facets` is as
+    `shadow` is as in :class:`Geometry`, `crest` the index of the highest facet. `facets` is as
     :func:`fill_facets` leaves it; rows 3 and 4 are scratch.
     """
     n = facets.shape[1]
     heights, slopes, areas, elevation, lit = facets[0], facets[1], facets[2], facets[3], facets[4]
     cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
     sine = tangent * cosine
-    if crest >= 0:
-        for i in range(n):
-            elevation[i] = heights[i] - tangent * ground_range
+    altitude = tangent * ground_range
+    for i in range(n):
+        elevation[i] = heights[i] - altitude
+    if shadow == CREST:
+        fill_crest_rule(elevation, altitude, wave, ground_range, crest, lit)
+    elif shadow == LINE_OF_SIGHT:
         fill_lit(elevation, 1.0 / (wave * n * ground_range), crest, lit)
     per_range = 1.0 / ground_range
     bend = 0.5 * (1.0 + tangent * tangent) * per_range
@@ -470,7 +474,7 @@ def fill_echoes(  # type: ignore[no-untyped-def]
         # imaged at range r' = sqrt(r^2 + (A - h)^2 - A^2), to second order
         place[i] = (i + 0.5) / n - h * (tangent - h * bend) * wave
     # with shadow `lit` is known: part of a facet may be lit though its middle is turned away
-    if crest < 0:
+    if not shadow:
         for i in range(n):
             lit[i] = 1.0 if power[i] > 0.0 else 0.0
     for i in range(n):
@@ -495,11 +499,11 @@ def fill_published(  # type: ignore[no-untyped-def]
     fill_profile(0.0, 0.0, np.zeros(2), unit, derivative)
     altitude = tangent * ground_range
     lit[:] = 1.0
+    for i in range(n):
+        elevation[i] = ripple.height * unit[i] - altitude
     if shadow == CREST:
-        fill_crest_rule(ripple.height, unit, wave, ground_range, altitude, lit)
+        fill_crest_rule(elevation, altitude, wave, ground_range, np.argmax(unit), lit)
     elif shadow == LINE_OF_SIGHT:
-        for i in range(n):
-            elevation[i] = ripple.height * unit[i] - altitude
         fill_lit(elevation, 1.0 / (wave * n * ground_range), np.argmax(unit), lit)
     grazing, slope_angle = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
     c = ripple.concentration
@@ -588,7 +592,7 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
         third = geometry.third_harmonic
         fill_profile(ripple.peakedness, ripple.asymmetry, third, profile[0], profile[1])
-        crest = int(np.argmax(profile[0])) if geometry.shadow else -1
+        crest = int(np.argmax(profile[0]))
         if varies:
             fill_scales(geometry.height_trend, data.place, scales)
     before, stride = 0, 1 if geometry.shadow else RENDERED
@@ -603,7 +607,8 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
         else:
             if varies or b == 0:
                 fill_facets(ripple.height * scales[b], wave, geometry.across, profile, facets)
-            fill_echoes(wave, tangent, distance, crest, facets, law, power, place)
+            rule = geometry.shadow
+            fill_echoes(wave, tangent, distance, rule, crest, facets, law, power, place)
             flat = law[0, int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
         pulse[:] = 0.0
         deposit(pulse, place, power, facets[3])

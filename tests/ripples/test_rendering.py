@@ -21,6 +21,7 @@ from sasmap.ripples.rendering import (
     fill_lit,
     fill_profile,
     fill_published,
+    fill_residuals,
     log_posterior,
     pulse_at,
 )
@@ -216,7 +217,7 @@ def test_echoes_are_placed_by_slant_range(altitude, distance, height):
     facets[0], facets[2] = height, 1e-12
     facets[2, 100] = 1.0  # all power in one facet
     power, at = np.empty((2, n))
-    fill_echoes(along, altitude / distance, distance, -1, facets, law, power, at)
+    fill_echoes(along, altitude / distance, distance, 0, 0, facets, law, power, at)
     deposit(pulse, at, power, np.empty(n))
     place = np.angle(harmonic(pulse, 1)) / (2 * np.pi)
     # what is shown at a range lies at r with r'^2 = r^2 + (A - h)^2 - A^2
@@ -260,6 +261,69 @@ def test_published_model_is_the_literal_one(rule, distance):
     assert beside.mean() < 0.05
     # the crest rule starts shadow 1.38 times farther out
     assert hidden.any() == (rule != 0 and distance > (12 if rule == LINE_OF_SIGHT else 21))
+
+
+@pytest.mark.parametrize("peakedness", [0.0, 0.1])
+@pytest.mark.parametrize("distance", [15.0, 17.0, 30.0])
+def test_crest_rule_holds_under_any_law(peakedness, distance):
+    where, data = geometry(0.6, distance, 5.0), empty(distance, 5.0)
+    truth = ripple(0.07, GAUSSIAN, peakedness=peakedness)
+    lit, by_sight, by_rule = (
+        pulses_of(truth, data, where._replace(shadow=rule))[0][0]
+        for rule in (0, LINE_OF_SIGHT, CREST)
+    )
+    # of a sine, the rule's shadow begins where the trough is hidden, the other's 1.38 times nearer
+    hidden = shadow_crest_rule(2 * np.pi * (np.arange(64) + 0.5) / 64, distance, 5.0, 0.6, 0.07)
+    if not peakedness:
+        assert hidden.any() == (distance == 30.0)
+        assert np.allclose(by_rule, lit) == (not hidden.any())
+    if distance == 30.0:
+        dark = (by_rule < 1e-6).mean()
+        assert abs(dark - hidden.mean()) < 0.1 and dark > 0.2
+        assert (by_sight < 1e-6).mean() > dark
+
+
+def test_a_bin_too_bright_costs_as_much_as_one_too_dark_where_the_model_errs():
+    data = empty(20.0, 5.0, bins=4, count=50.0)
+    means = np.ones(data.pixel_count.shape)
+    for share, even in ((1.0, False), (0.0, True), (0.1, True)):
+        costs = []
+        for factor in (10.0, 0.1):
+            other = data._replace(
+                intensity_sum=factor * data.pixel_count,
+                speckle_share=np.full(means.shape, share),
+            )
+            residuals, pulls = np.empty(means.shape), np.empty(means.shape)
+            level = fill_residuals(means, other, residuals, pulls)
+            costs.append(-level)
+            moved = [np.exp(step) * means for step in (1e-5, -1e-5)]
+            up, down = (fill_residuals(m, other, residuals, pulls) for m in moved)
+            assert pulls.sum() == pytest.approx((up - down) / 2e-5, rel=1e-3)
+            if share == 1.0:  # that of exponential intensity, relative to the best mean
+                expected = 200.0 * (factor - 1 - np.log(factor))
+                assert -level == pytest.approx(expected)
+        assert (costs[0] / costs[1] < 1.3) == even
+
+
+def test_waves_of_two_heights_have_their_mean_height():
+    """Where shadow of one wave lies on lit floor of another, the fit must not favour the lower."""
+    where, data = geometry(0.6, 20.0, 4.0), empty(np.linspace(19.0, 21.0, 8), 4.0)
+    truth = ripple(0.07, blur=0.02, noise=0.05)
+    waves = [pulses_of(truth._replace(height=0.07 * np.exp(d)), data, where)[0] for d in (-0.2, 0.2)]
+    pulses = np.where((np.arange(8) % 2 == 0)[:, None], *waves) + truth.noise
+    data = data._replace(intensity_sum=pulses * data.pixel_count, group=np.arange(8))
+    best = []
+    for share in (0.03, 1.0):
+        shared = data._replace(speckle_share=np.full(pulses.shape, share))
+        levels = []
+        for change in np.linspace(-0.25, 0.25, 101):
+            means, gains = np.empty(pulses.shape), np.empty(8)
+            changed = truth._replace(height=0.07 * np.exp(change))
+            fill_expected(changed, shared, where, means, gains)
+            levels.append(fill_residuals(means, shared, means.copy(), means.copy()))
+        best.append(np.linspace(-0.25, 0.25, 101)[np.argmax(levels)])
+    assert abs(best[0]) < 0.03
+    assert best[1] < -0.1
 
 
 def test_law_departs_from_its_family_by_its_error_alone():
