@@ -42,13 +42,6 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
-# Error of log A_H where crests bend, since the pulse is that of straight crests of the mean
-# wavelength (pipelines/ripples/coherent.py).
-FIELD_HEIGHT = 0.06
-# Largest noise factor that correlated speckle explains, and error of log A_H for each factor of e
-# beyond it: with straight crests, and where a phase field is followed, as forks under deep shadow
-# make it large (pipelines/ripples/coherent.py).
-MISFIT, FIELD_MISFIT = (4.0, 0.15), (2.0, 0.2)
 # Misfit of lit sea floor that remains where all waves have one height, and error of log A_H per
 # unit beyond it (pipelines/studies/varying.py).
 ONE_HEIGHT, VARYING = 0.01, 2.2
@@ -344,7 +337,7 @@ def _labelled(
     turns = np.floor(azimuth.mean() / 180.0)
     # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
-    error = np.hypot(_height_error(fit), crossing)
+    error = np.hypot(_varying(fit), crossing)
     height = float(named["height"].mean())
     known = min(fit.geometry.steepness_sd, fit.geometry.height_sd / height)  # of log A_H, a priori
     most = (UNKNOWN * known) ** 2 - float(np.log(named["height"]).var())
@@ -355,21 +348,9 @@ def _labelled(
     return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
 
 
-def _height_error(fit: Fit) -> float:
-    """Error of log A_H that the image does not constrain, so that it is drawn from its prior.
-
-    The pulse is that of straight crests of the mean wavelength; and an image that varies more than
-    speckle contains something that the model lacks.
-    """
-    error, (speckle, misfit) = (
-        (_varying(fit), MISFIT) if fit.phase.rigid else (FIELD_HEIGHT, FIELD_MISFIT)
-    )
-    return float(np.hypot(error, misfit * max(np.log(fit.noise_factor / speckle), 0.0)))
-
-
 def _varying(fit: Fit) -> float:
-    """Error of log A_H where heights vary between single waves or parts of the clip."""
-    return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0)
+    """Error of log A_H where crests are straight and heights vary between single waves."""
+    return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0) if fit.phase.rigid else 0.0
 
 
 def _stretch(fit: Fit, image: Image, fraction: float) -> float:
@@ -389,7 +370,7 @@ def _stretch(fit: Fit, image: Image, fraction: float) -> float:
 
 def _turn_of_heights(fit: Fit) -> float:
     """Spread of the image's phase from wave to wave due to their heights, cycles."""
-    spread = _varying(fit) if fit.phase.rigid else 0.0
+    spread = _varying(fit)
     if spread == 0.0:
         return 0.0
     return float(spread * np.sqrt(np.mean(lag_per_height(fit) ** 2)) / (2 * np.pi))

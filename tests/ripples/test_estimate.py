@@ -297,7 +297,7 @@ def test_crests_that_cross_are_an_error_of_each_other():
 
 
 def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
-    monkeypatch.setattr(estimation, "_height_error", lambda fit: 5.0)
+    monkeypatch.setattr(estimation, "_varying", lambda fit: 5.0)
     posterior = estimate(cell(6, near=6.0).clip, DEFAULT, rng=1)
     spread = float(np.log(posterior.draws.height).std())
     prior = posterior.prior.steepness[1]
@@ -305,11 +305,11 @@ def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
 
 
 def test_waves_of_unlike_heights_widen_height_and_frequency():
-    fit = SimpleNamespace(phase=SimpleNamespace(rigid=True), noise_factor=1.0, misfit=0.01)
-    assert estimation._height_error(fit) == 0.0  # waves that are alike
-    few, many = (
-        estimation._height_error(SimpleNamespace(**{**vars(fit), "misfit": m})) for m in (0.1, 0.2)
+    phase = SimpleNamespace(rigid=True)
+    alike, few, many = (
+        estimation._varying(SimpleNamespace(phase=phase, misfit=m)) for m in (0.01, 0.1, 0.2)
     )
+    assert alike == 0.0
     assert 0.05 < few < many
 
 
