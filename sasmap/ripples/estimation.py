@@ -349,8 +349,8 @@ def _labelled(
 
 
 def _varying(fit: Fit) -> float:
-    """Error of log A_H where crests are straight and heights vary between single waves."""
-    return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0) if fit.phase.rigid else 0.0
+    """Error of log A_H where heights vary between single waves or parts of the clip."""
+    return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0)
 
 
 def _stretch(fit: Fit, image: Image, fraction: float) -> float:
@@ -370,7 +370,7 @@ def _stretch(fit: Fit, image: Image, fraction: float) -> float:
 
 def _turn_of_heights(fit: Fit) -> float:
     """Spread of the image's phase from wave to wave due to their heights, cycles."""
-    spread = _varying(fit)
+    spread = _varying(fit) if fit.phase.rigid else 0.0
     if spread == 0.0:
         return 0.0
     return float(spread * np.sqrt(np.mean(lag_per_height(fit) ** 2)) / (2 * np.pi))

@@ -305,10 +305,7 @@ def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
 
 
 def test_waves_of_unlike_heights_widen_height_and_frequency():
-    phase = SimpleNamespace(rigid=True)
-    alike, few, many = (
-        estimation._varying(SimpleNamespace(phase=phase, misfit=m)) for m in (0.01, 0.1, 0.2)
-    )
+    alike, few, many = (estimation._varying(SimpleNamespace(misfit=m)) for m in (0.01, 0.1, 0.2))
     assert alike == 0.0
     assert 0.05 < few < many
 
