@@ -152,7 +152,7 @@ def simulate(
         one,
     )
     pulses = np.empty((n, BINS))
-    fill_pulses(ripple, every, geometry, pulses, np.empty(n))
+    fill_pulses(ripple, every, geometry, pulses)
     place = geometry.along * x - geometry.across * y + ripple.phase / (2 * np.pi)
     # errors of intensity in a wavelength of range and a part of phase, of place in all ranges
     group = ((reach - reach[0]) * geometry.along).astype(int)

@@ -26,6 +26,7 @@ from sasmap.passes.fusion import fuse, fuse_cells, learn_survey
 from sasmap.passes.summary import summarise
 from sasmap.ripples import Clip, Prior, RippleSettings, estimate
 from sasmap.ripples.diagnostics import ess_bulk, rhat
+from sasmap.ripples.rendering import pulses_of
 from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 from sasmap.sediments import fit, generalized_k, k_distribution
 from sasmap.sediments.classmap import class_map, log_likelihoods
@@ -36,7 +37,7 @@ from sasmap.simulate import coherent_cell
 from sasmap.survey.navigation import Track
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
-from tests.ripples.engine import empty, geometry, pulses_of, ripple
+from tests.ripples.engine import empty, geometry, ripple
 
 # Altitude (m) and frequency (cycles/m) of rendered wavelengths, and bins a wavelength.
 ALTITUDE, WAVE, BINS = 50.0, 1.0, 64

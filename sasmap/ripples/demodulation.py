@@ -30,6 +30,9 @@ RANGE_STEPS, RANGE_DEGREE = 24, 2
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled.
 FULL = 0.8
+# Smallest angle from the vertical by which amplitudes are divided, rad; error from speckle over the
+# ripples' amplitude above which local amplitudes say nothing.
+STEEP, SURE = 0.05, 0.2
 # Most iterations of the refinement of the wave.
 MAX_ROUNDS = 8
 
@@ -298,38 +301,55 @@ def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
     return np.asarray(boxes.wave + (turn[0] * image.look + turn[1] * image.beside) / (2 * np.pi))
 
 
-def covered_boxes(image: Image, boxes: BoxSums) -> tuple[BoolArray, float]:
-    """Return the boxes that have ripples, and the fraction of the valid area that they make up.
+def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
+    """Return the boxes that have ripples.
 
     Contrast grows towards lower grazing angles, so the amplitude is divided by the angle from the
     vertical before it is compared. Where speckle hides local amplitudes, all boxes count as
     rippled.
     """
     filled = boxes.count > 0
-    size = boxes.size
-    reach, altitude = (
-        box_sums(np.nan_to_num(v), image.valid, 0.0, 0.0, size)[0].real
-        for v in (image.ground_range, image.altitude)
-    )
-    incidence_angle = np.arctan2(reach, np.maximum(altitude, 1e-9))
-    everywhere = filled, 1.0
+    angle = angles_from_vertical(image, boxes.size)
     for sd in (0.8, 1.3, 2.0):
         smooth = Smoother(filled.shape, sd * boxes.wavelength)
         count = np.maximum(smooth(boxes.count).real, 1e-3 * boxes.count.max())
-        noise = boxes.variance / (4 * np.pi * (sd * boxes.wavelength * size) ** 2)
+        noise = boxes.variance / (4 * np.pi * (sd * boxes.wavelength * boxes.size) ** 2)
         noise = noise * boxes.count.max() / count
         local = np.maximum(np.abs(smooth(boxes.turned) / count) ** 2 - noise, 0)
-        level = np.sqrt(local) / np.maximum(incidence_angle, 0.05)
+        level = np.sqrt(local) / angle
         high = float(np.quantile(level[filled], 0.85))
-        error = float(np.median((np.sqrt(noise) / np.maximum(incidence_angle, 0.05))[filled]))
-        if error > 0.2 * high:
+        if float(np.median((np.sqrt(noise) / angle)[filled])) > SURE * high:
             continue
         rippled = filled & (level > BARE * high)
-        fraction = float(boxes.count[rippled].sum() / boxes.count.sum())
-        if fraction > FULL:
-            return filled, max(fraction, FULL) if fraction < 0.97 else 1.0
-        return rippled, fraction
-    return everywhere
+        return filled if boxes.count[rippled].sum() > FULL * boxes.count.sum() else rippled
+    return filled
+
+
+def angles_from_vertical(image: Image, size: int) -> FloatArray:
+    """Mean angle of the look from the vertical over boxes, at least STEEP, rad."""
+    reach, altitude = (
+        box_sums(v, image.valid, 0.0, 0.0, size)[0].real
+        for v in (image.ground_range, image.altitude)
+    )
+    return np.asarray(np.maximum(np.arctan2(reach, np.maximum(altitude, 1e-9)), STEEP))
+
+
+def windings(field: NDArray[np.complex128]) -> NDArray[np.int64]:
+    """Compute the winding number of a field's phase around each group of four neighbours.
+
+    Parameters
+    ----------
+    field : ndarray of complex (rows, columns)
+
+    Returns
+    -------
+    ndarray of int (rows - 1, columns - 1)
+        1 or -1 where a crest splits or ends, else 0.
+    """
+    corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
+    after = corners[1:] + corners[:1]
+    turns = [np.angle(b * np.conj(a)) for a, b in zip(corners, after, strict=True)]
+    return np.asarray(np.rint(np.sum(turns, axis=0) / (2 * np.pi)), np.int64)
 
 
 def local_ratio(

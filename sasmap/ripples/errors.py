@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE, line_of_lags
-from sasmap.ripples.rendered import Fit, expected_at, pulses_at, pulses_of
+from sasmap.ripples.rendered import Fit, expected_at, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
     fill_residuals,
     log_posterior,
     parameters_at,
+    pulses_of,
 )
 
 FloatArray = NDArray[np.float64]
@@ -211,11 +212,11 @@ def turned_by_errors(fit: Fit) -> float:
 def lag_per_height(fit: Fit) -> FloatArray:
     """Compute the derivative of lags with respect to log A_H at a fit's peak, rad, (blocks,)."""
     ripple = parameters_at(fit.z, fit.geometry)
-    lower, higher = (
-        pulses_of(fit, ripple._replace(height=float(ripple.height * np.exp(step))))[1]
-        for step in (-HEIGHT_STEP, HEIGHT_STEP)
-    )
-    return _turn(lower, higher) / (2 * HEIGHT_STEP)
+    lags = []
+    for step in (-HEIGHT_STEP, HEIGHT_STEP):
+        moved = ripple._replace(height=float(ripple.height * np.exp(step)))
+        lags.append(pulses_of(moved, fit.data, fit.geometry)[1])
+    return _turn(*lags) / (2 * HEIGHT_STEP)
 
 
 def _turn(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing, grey_opening, label
 from scipy.special import ndtr
 
-from sasmap.ripples.demodulation import BoxSums, demodulate
+from sasmap.ripples.demodulation import (
+    SURE,
+    BoxSums,
+    angles_from_vertical,
+    demodulate,
+    windings,
+)
 from sasmap.ripples.image import Image
-from sasmap.ripples.pixels import box_sums, spread_boxes
+from sasmap.ripples.pixels import spread_boxes
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -25,13 +31,10 @@ BoolArray = NDArray[np.bool_]
 # Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude; the smallest is
 # used at which the error from speckle is below SURE times the ripples' amplitude.
 SMOOTHING = (0.45, 0.65, 0.95, 1.4, 2.0)
-SURE = 0.2
 # Smoothed amplitude at a straight edge over that of the ripples.
 EDGE = 0.5
 # Relative standard deviation of the ripples' amplitude from place to place (a choice).
 UNEVEN = 0.15
-# Smallest angle from the vertical by which amplitudes are divided, rad.
-STEEP = 0.05
 # Smallest area of a gap or a patch, in squared wavelengths (the gap at a fork is smaller).
 SPECK = 1.5
 # Iterations in which the ripples' amplitude is estimated from the rippled places, enough to
@@ -116,7 +119,7 @@ def _local(
 ) -> tuple[NDArray[np.complex128], FloatArray, float]:
     """Smoothed complex amplitude of boxes, probability of ripples, and the ripples' amplitude."""
     filled = boxes.count > 0
-    angle = np.maximum(_angle(image, boxes.size), STEEP)
+    angle = angles_from_vertical(image, boxes.size)
     for sd in SMOOTHING:
         reach = sd * boxes.wavelength
         count = gaussian_filter(boxes.count, reach, mode="constant")
@@ -143,30 +146,3 @@ def _own_level(level: FloatArray, weight: FloatArray) -> float:
         inside = weight * (level > 0.7 * own)
         own = float((inside * level).sum() / max(float(inside.sum()), 1e-300))
     return own
-
-
-def _angle(image: Image, size: int) -> FloatArray:
-    """Mean angle of the look from the vertical over boxes, rad."""
-    reach, altitude = (
-        box_sums(np.nan_to_num(v), image.valid, 0.0, 0.0, size)[0].real
-        for v in (image.ground_range, image.altitude)
-    )
-    return np.asarray(np.arctan2(reach, np.maximum(altitude, 1e-9)))
-
-
-def windings(field: NDArray[np.complex128]) -> NDArray[np.int64]:
-    """Compute the winding number of a field's phase around each group of four neighbours.
-
-    Parameters
-    ----------
-    field : ndarray of complex (rows, columns)
-
-    Returns
-    -------
-    ndarray of int (rows - 1, columns - 1)
-        1 or -1 where a crest splits or ends, else 0.
-    """
-    corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
-    after = corners[1:] + corners[:1]
-    turns = [np.angle(b * np.conj(a)) for a, b in zip(corners, after, strict=True)]
-    return np.asarray(np.rint(np.sum(turns, axis=0) / (2 * np.pi)), np.int64)

@@ -20,9 +20,6 @@ MAX_BEND = 0.3
 MIN_SATURATED = 1e-4
 # Most pixels to which a lattice is fitted.
 LATTICE_SAMPLES = 4000
-# Deviation of pixels from the lattice after rounding to its nearest point (standard deviation of a
-# uniform distribution, pixels).
-ROUNDED = 0.29
 
 
 @dataclass(frozen=True)
@@ -47,8 +44,6 @@ class Image:
         Root of the mean intensity that `power` was divided by, in units of the amplitude.
     centre : ndarray (2,)
         Map position (east, north) of the lattice's centre, m.
-    jitter : float
-        Deviation of pixels from the lattice, pixels (standard deviation).
     """
 
     power: FloatArray
@@ -60,7 +55,6 @@ class Image:
     azimuth: float
     rms: float
     centre: FloatArray
-    jitter: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -98,18 +92,6 @@ class Image:
         row, column = self.rows_and_columns
         per_column, per_row = direction @ self.steps
         return np.asarray(per_column * column + per_row * row)
-
-    def extent(self, direction: FloatArray) -> tuple[float, float]:
-        """Start and length, m, of the valid pixels along a unit vector (east, north)."""
-        rows, columns = (
-            np.flatnonzero(self.valid.any(axis=1)),
-            np.flatnonzero(self.valid.any(axis=0)),
-        )
-        per_column, per_row = direction @ self.steps
-        places = per_column * (columns[[0, -1]] - (self.shape[1] - 1) / 2) + (
-            per_row * (rows[[0, -1], None] - (self.shape[0] - 1) / 2)
-        )
-        return float(places.min()), float(np.ptp(places)) + 1e-9
 
     @cached_property
     def mean_range(self) -> float:
@@ -151,7 +133,7 @@ def as_image(clip: Clip) -> Image:
     if bend <= MAX_BEND and abs(np.linalg.det(steps)) > 0:
         places = clip.ground_range, clip.altitude, steps
         centre = first + steps @ (np.array(wide.shape[::-1]) - 1) / 2
-        return Image(wide, valid, saturated, *places, azimuth, mean, centre, 0.5 * bend)
+        return Image(wide, valid, saturated, *places, azimuth, mean, centre)
     return _summed(clip, wide, valid, saturated, azimuth, mean)
 
 
@@ -227,7 +209,6 @@ def _summed(
         azimuth,
         mean,
         np.array([x.min() + 0.5 * size * (shape[1] - 1), y.max() - 0.5 * size * (shape[0] - 1)]),
-        ROUNDED,
     )
 
 

@@ -12,12 +12,11 @@ from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
     contrast_per_slope,
-    fill_lags,
-    fill_pulses,
     fill_residuals,
     fill_slopes,
     log_posterior,
     parameters_at,
+    pulses_of,
 )
 
 FloatArray = NDArray[np.float64]
@@ -126,12 +125,8 @@ def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatAr
     """Offset of a straight wave's image from its crests: wave number (cycles/m) and phase (rad)."""
     if geometry.follows_image:
         return np.zeros(2)
-    pulses = np.empty(data.pixel_count.shape)
-    lags, levels = np.empty((2, len(data.place)))
     ripple = parameters_at(np.append([0.0, 0.0], z[2:]), geometry)
-    fill_pulses(ripple, data, geometry, pulses, levels)
-    fill_lags(pulses, lags)
-    slope, lag, place = line_of_lags(lags, data)
+    slope, lag, place = line_of_lags(pulses_of(ripple, data, geometry)[1], data)
     return np.array([slope / (2 * np.pi), lag - slope * place])
 
 

@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
 from scipy.ndimage import binary_closing
 
-from sasmap.ripples.demodulation import BoxSums, Smoother, box_places, covered_boxes
+from sasmap.ripples.demodulation import (
+    BoxSums,
+    Smoother,
+    box_places,
+    covered_boxes,
+    windings,
+)
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import field_cycles
 
@@ -68,8 +74,6 @@ class PhaseField:
     coherence_length : float
         Distance at which the correlation of the phase, without its mean slope, falls to 1/e, m; the
         clip's largest distance where it stays above that.
-    rippled_fraction : float
-        Rippled fraction of the clip's valid area.
     stiffness : float
         Standard deviation of the Gaussian that smooths the field, m; infinite where rigid.
     """
@@ -88,7 +92,6 @@ class PhaseField:
     wave_sd: FloatArray
     error: float
     coherence_length: float
-    rippled_fraction: float
     stiffness: float
 
     def per_pixel(self, image: Image) -> FloatArray:
@@ -135,7 +138,7 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     -------
     PhaseField
     """
-    covered, fraction = covered_boxes(image, boxes)
+    covered = covered_boxes(image, boxes)
     one = np.ones(boxes.count.shape, complex)
     along, across = box_places(image, boxes)
     total = np.where(covered, boxes.turned, 0).sum()
@@ -154,7 +157,6 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
         np.zeros(2),
         0.0,
         float(np.hypot(np.ptp(along), np.ptp(across))),
-        fraction,
         float("inf"),
     )
 
@@ -244,7 +246,7 @@ def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
     """
     best = int(np.argmax(trials.scores / STRAIGHT))
     even, odd, both = (f[best] for f in (trials.even, trials.odd, trials.both))
-    covered, fraction = covered_boxes(image, boxes)
+    covered = covered_boxes(image, boxes)
     weight = np.where(covered, boxes.count, 0.0)
     product = even * np.conj(odd)
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
@@ -266,7 +268,6 @@ def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
         sd,
         smear,
         _coherence_length(image, boxes, field, weight, mean),
-        fraction,
         float(STIFFNESS[best] * boxes.wavelength * boxes.size * image.pixel_size),
     )
 
@@ -306,13 +307,8 @@ def _mean_wave(
 
 def _forks(field: ComplexArray, weight: FloatArray) -> int:
     """Count phase singularities, where crests split or end."""
-    corners = [field[:-1, :-1], field[:-1, 1:], field[1:, 1:], field[1:, :-1]]
-    turns = [
-        np.angle(b * np.conj(a)) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
-    ]
-    wound = np.abs(np.sum(turns, axis=0)) > np.pi
     inside = (weight[:-1, :-1] > 0) & (weight[1:, 1:] > 0)
-    return int((wound & inside).sum())
+    return int((np.abs(windings(field)) * inside).sum())
 
 
 def _coherence_length(

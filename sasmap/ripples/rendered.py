@@ -12,11 +12,9 @@ from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
-    Parameters,
     fill_expected,
-    fill_lags,
-    fill_pulses,
     parameters_at,
+    pulses_of,
 )
 
 FloatArray = NDArray[np.float64]
@@ -64,18 +62,9 @@ class Fit(NamedTuple):
         return self.peaks[0].z
 
 
-def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Render pulses (blocks, bins) over ripple phase, lags and levels (blocks,) at coordinates."""
-    return pulses_of(fit, parameters_at(z, fit.geometry))
-
-
-def pulses_of(fit: Fit, ripple: Parameters) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Render pulses, lags and levels of given parameters, as :func:`pulses_at` does."""
-    pulses = np.empty(fit.data.pixel_count.shape)
-    lags, levels = np.empty((2, len(pulses)))
-    fill_pulses(ripple, fit.data, fit.geometry, pulses, levels)
-    fill_lags(pulses, lags)
-    return pulses, lags, levels
+def pulses_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Render pulses (blocks, bins) over ripple phase, and their lags (blocks,), at coordinates."""
+    return pulses_of(parameters_at(z, fit.geometry), fit.data, fit.geometry)
 
 
 def lag_over_range(fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -550,14 +550,13 @@ def fill_blurred(pulse, kernel, reach, blurred):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def fill_between(ground_range, first, last, pulses, levels):  # type: ignore[no-untyped-def]
-    """Interpolate pulses and levels of the blocks between two rendered ones, linear in range."""
+def fill_between(ground_range, first, last, pulses):  # type: ignore[no-untyped-def]
+    """Interpolate pulses of the blocks between two rendered ones, linear in range."""
     for b in range(first + 1, last):
         share = ground_range[b] - ground_range[first]
         share /= ground_range[last] - ground_range[first]
         for i in range(pulses.shape[1]):
             pulses[b, i] = pulses[first, i] + share * (pulses[last, i] - pulses[first, i])
-        levels[b] = levels[first] + share * (levels[last] - levels[first])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -576,11 +575,8 @@ def fill_lags(pulses, lags):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-untyped-def]
-    """Fill the pulse of each block over ripple phase (blocks, bins), of mean 1.
-
-    `levels` (blocks,) becomes the mean intensity over that of flat sea floor at the same range.
-    """
+def fill_pulses(ripple, data, geometry, pulses):  # type: ignore[no-untyped-def]
+    """Fill the pulse of each block over ripple phase (blocks, bins), of mean 1."""
     blocks, bins = data.pixel_count.shape
     n = FACETS * bins
     facets, power, place = np.empty((5, n)), np.empty(n), np.empty(n)
@@ -603,18 +599,15 @@ def fill_pulses(ripple, data, geometry, pulses, levels):  # type: ignore[no-unty
         tangent = data.altitude[b] * ripple.altitude_scale / distance
         if geometry.published:
             fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, power, place)
-            flat = published_amplitude(np.arctan(tangent), ripple.concentration) ** 2
         else:
             if varies or b == 0:
                 fill_facets(ripple.height * scales[b], wave, geometry.across, profile, facets)
             rule = geometry.shadow
             fill_echoes(wave, tangent, distance, rule, crest, facets, law, power, place)
-            flat = law[0, int(tangent / np.sqrt(1.0 + tangent * tangent) * (NODES - 1) + 0.5)]
         pulse[:] = 0.0
         deposit(pulse, place, power, facets[3])
-        levels[b] = pulse.sum() / (n * flat)
         fill_blurred(pulse, kernel, reach, pulses[b])
-        fill_between(data.ground_range, before, b, pulses, levels)
+        fill_between(data.ground_range, before, b, pulses)
         before = b
 
 
@@ -694,7 +687,7 @@ def fill_rendered(ripple, data, geometry, pulses, lags):  # type: ignore[no-unty
 
     Lags are 0 elsewhere.
     """
-    fill_pulses(ripple, data, geometry, pulses, np.empty(lags.size))
+    fill_pulses(ripple, data, geometry, pulses)
     lags[:] = 0.0
     if geometry.follows_image:
         fill_lags(pulses, lags)
@@ -847,6 +840,16 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
                 small = abs(change) < SMALL
                 log = change - 0.5 * change * change if small else np.log1p(change)
                 slopes[k, b * means.shape[1] + j] = log / step
+
+
+def pulses_of(
+    ripple: Parameters, data: Histogram, geometry: Geometry
+) -> tuple[FloatArray, FloatArray]:
+    """Render pulses (blocks, bins) over ripple phase, and the lags of their fundamentals, rad."""
+    pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
+    fill_pulses(ripple, data, geometry, pulses)
+    fill_lags(pulses, lags)
+    return pulses, lags
 
 
 def named_parameters(points: FloatArray, geometry: Geometry) -> dict[str, FloatArray]:

@@ -15,8 +15,7 @@ from sasmap.ripples.rendering import (
     Histogram,
     Parameters,
     fill_expected,
-    fill_lags,
-    fill_pulses,
+    pulses_of,
 )
 from sasmap.ripples.settings import RippleSettings
 from sasmap.simulate import coherent_cell
@@ -90,14 +89,6 @@ def noiseless(truth, data, where):
     full = data._replace(intensity_sum=data.pixel_count * means / gains[:, None])
     fill_expected(truth, full, where, means, gains)
     return data._replace(intensity_sum=data.pixel_count * means)
-
-
-def pulses_of(truth, data, where):
-    """Pulses (blocks, bins) and lags (blocks,)."""
-    pulses, lags = np.empty(data.pixel_count.shape), np.empty(len(data.place))
-    fill_pulses(truth, data, where, pulses, np.empty(len(lags)))
-    fill_lags(pulses, lags)
-    return pulses, lags
 
 
 def harmonic(pulse, k):

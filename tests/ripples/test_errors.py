@@ -223,10 +223,12 @@ def test_heights_that_change_over_range_may_turn_the_phase_by_as_much():
     turned = []
     for k, sd in enumerate(errors.HEIGHT_TREND, 1):
         lags = [
-            pulses_of(steep, truth._replace(height=truth.height * np.exp(change)))[1][b]
+            pulses_of(
+                truth._replace(height=truth.height * np.exp(change)), steep.data, steep.geometry
+            )[1][b]
             for b, change in enumerate(sd * np.cos(np.pi * k * across))
         ]
-        away = np.array(lags) - pulses_of(steep, truth)[1]
+        away = np.array(lags) - pulses_of(truth, steep.data, steep.geometry)[1]
         turned.append(line_of_lags(away, steep.data)[0] / (2 * np.pi))
     assert turned_by_errors(bent) > 0.95 * np.hypot.reduce(turned)
     # of straight crests the image tells a part of that

@@ -3,7 +3,8 @@ import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from skimage.measure import find_contours
 
-from sasmap.ripples.extent import ripple_extent, windings
+from sasmap.ripples.demodulation import windings
+from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.image import as_image
 from tests.helpers import clip_of
 
