@@ -28,7 +28,7 @@ SLIGHT = 0.02
 
 
 def distances_of(
-    looks: Looks, survey: SurveyModel, steepness: tuple[float, float], cells: int
+    looks: Looks, survey: SurveyModel, cells: int
 ) -> tuple[list[dict[tuple[int, int], float]], list[dict[int, float]]]:
     """Squared distance of each pair of looks at a cell, and log volume of each look's covariance.
 
@@ -39,8 +39,6 @@ def distances_of(
     ----------
     looks : Looks
     survey : SurveyModel
-    steepness : tuple of float
-        Prior of crest to trough over wavelength: median and log standard deviation.
     cells : int
         Number of cells.
 
@@ -55,7 +53,7 @@ def distances_of(
     there = without_scatter(looks, middle)
     plain, factor = (with_scatter(there, middle, s) for s in (0 * scatter, scatter))
     prior = law_factor(survey.widest, looks.with_law)
-    prior = with_prior(prior, steepness_factor(factor.linear.shape[-1], steepness))
+    prior = with_prior(prior, steepness_factor(factor.linear.shape[-1]))
     single = moments(with_prior(plain, prior))
     heavy = single[0] - single[0].max(axis=1, keepdims=True) > np.log(SLIGHT)
     volume = np.linalg.slogdet(single[2][..., :3, :3])[1]
@@ -120,7 +118,6 @@ def _difference(
 def together(
     looks: Looks,
     survey: SurveyModel,
-    steepness: tuple[float, float],
     groups: list[tuple[int, ...]],
 ) -> list[tuple[int, ...]]:
     """Drop looks whose A_H differs from that of all others of their group combined.
@@ -131,8 +128,6 @@ def together(
     ----------
     looks : Looks
     survey : SurveyModel
-    steepness : tuple of float
-        As for :func:`distances_of`.
     groups : list of tuple of int
         For each cell, swaths that agree pair by pair.
 
@@ -156,7 +151,7 @@ def together(
     middle = survey.middle
     scatter = np.broadcast_to(middle.scatter, (rows.size, 3))
     prior = law_factor(survey.widest, looks.with_law)
-    whole = with_prior(prior, steepness_factor(some.factor.linear.shape[-1], steepness))
+    whole = with_prior(prior, steepness_factor(some.factor.linear.shape[-1]))
     own = _matched(at_height(some, middle, scatter), whole)
     while rows.size:
         total = np.zeros((len(groups), *own.precision.shape[1:]))

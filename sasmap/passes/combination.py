@@ -64,9 +64,7 @@ class _Draws(NamedTuple):
     precision: FloatArray
 
 
-def after_each(
-    looks: Looks, survey: SurveyModel, steepness: tuple[float, float]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def after_each(looks: Looks, survey: SurveyModel) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Combine each look with the earlier ones of the same cell.
 
     Parameters
@@ -74,8 +72,6 @@ def after_each(
     looks : Looks
         N looks sorted by cell, those at each cell in the order in which they are combined.
     survey : SurveyModel
-    steepness : tuple of float
-        Prior of crest to trough over wavelength: median and log standard deviation.
 
     Returns
     -------
@@ -84,7 +80,7 @@ def after_each(
     mean, covariance : ndarray (N, K, 3), (N, K, 3, 3)
         Of log f, log A_H and azimuth.
     """
-    draws = _arrays(survey, looks.with_law, steepness)
+    draws = _arrays(survey, looks.with_law)
     ends = np.flatnonzero(np.append(np.diff(looks.cell) != 0, True)) + 1
     n, most = looks.cell.size, draws.law[..., 0].size * MOST_KEPT
     weight, mean = np.zeros((n, most)), np.zeros((n, most, 3))
@@ -99,14 +95,14 @@ def after_each(
     return weight, mean[:, :last], covariance[:, :last]
 
 
-def _arrays(survey: SurveyModel, with_law: bool, steepness: tuple[float, float]) -> _Draws:
+def _arrays(survey: SurveyModel, with_law: bool) -> _Draws:
     """Collect the draws of a survey's shared parameters as arrays."""
     every = [[p.shared for p in draw] for draw in survey.draws]
 
     def array(values: list[list[FloatArray]]) -> FloatArray:
         return np.ascontiguousarray(values, float)
 
-    steep = steepness_factor(5 if with_law else 3, steepness)
+    steep = steepness_factor(5 if with_law else 3)
     priors = [[with_prior(law_factor(s, with_law), steep) for s in draw] for draw in every]
     variance = [[np.maximum(s.scatter, NONE) ** 2 for s in draw] for draw in every]
     scatter = array(variance)

@@ -100,7 +100,7 @@ def learn_survey(
     if settings.method == "zare-cobb":
         return learn(None, swaths, scatter, seed)
     sediments = _with_laws(cells, classes)
-    looks = collect(cells, _steepness(settings), numbered(classes, sediments))
+    looks = collect(cells, numbered(classes, sediments))
     return learn(looks, swaths, scatter, seed, sediments)
 
 
@@ -204,12 +204,12 @@ def _fused(
     survey: SurveyModel,
     sediment: NDArray[np.int64] | None,
 ) -> list[FusedCell]:
-    looks = collect(cells, _steepness(settings), sediment)
+    looks = collect(cells, sediment)
     if looks is None:
         return [_assembled(s, (), {}, {}) for s in cells]
-    distances, volumes = distances_of(looks, survey, _steepness(settings), len(cells))
+    distances, volumes = distances_of(looks, survey, len(cells))
     groups = [agreeing(d, s) for d, s in zip(distances, volumes, strict=True)]
-    groups = together(looks, survey, _steepness(settings), groups)
+    groups = together(looks, survey, groups)
     known = _products(looks, survey, groups, settings)
     return [
         _assembled(summaries, groups[i], distances[i], known.get(i, {}))
@@ -317,14 +317,10 @@ def _products(
     some = looks.some(order[used[order]])
     result: dict[int, dict[int, CellEstimate]] = {}
     if some.cell.size:
-        found = estimates(*after_each(some, survey, _steepness(settings)), settings)
+        found = estimates(*after_each(some, survey), settings)
         for i, k, estimate in zip(some.cell, some.swath, found, strict=True):
             result.setdefault(int(i), {})[int(k)] = estimate
     return result
-
-
-def _steepness(settings: RippleSettings) -> tuple[float, float]:
-    return Prior.natural(settings.frequency, settings.height).steepness
 
 
 def _doubtful(summaries: Sequence[Summary | None]) -> tuple[tuple[int, ...], CellEstimate]:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from sasmap.passes.information import Information, widened
 from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
 from sasmap.ripples.posterior import Quality
+from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
 from sasmap.ripples.sampler import log_sum
 
@@ -143,7 +144,6 @@ class Looks(NamedTuple):
 
 def collect(
     cells: Sequence[Sequence[Summary | None]],
-    steepness: tuple[float, float],
     sediments: NDArray[np.int64] | None = None,
 ) -> Looks | None:
     """Collect the good looks at cells as arrays.
@@ -152,9 +152,6 @@ def collect(
     ----------
     cells : sequence of sequence of Summary or None
         For each cell, one per swath.
-    steepness : tuple of float
-        Sampling prior: median and log standard deviation of crest to trough over wavelength; the
-        latter infinite for no prior.
     sediments : ndarray of int (cells,), optional
         Sediment of each cell, as in :attr:`Looks.sediment`; all 0 by default.
 
@@ -186,7 +183,7 @@ def collect(
     told = [(s.tangent, s.altitude, s.altitude_gain, s.altitude_sd) for _, _, s, _ in good]
     tangent, altitude, gain, sd = np.array(told, float).T
     covariance = _altitude_told(covariance, gain * sd / altitude)
-    factor = _likelihood(weight, mean, covariance, tangent, steepness)
+    factor = _likelihood(weight, mean, covariance, tangent)
     law = None
     if size == 5:
         by_shape = _by_shape(weight, mean, covariance, tangent)
@@ -229,7 +226,6 @@ def _likelihood(
     mean: FloatArray,
     covariance: FloatArray,
     tangent: FloatArray,
-    steepness: tuple[float, float],
 ) -> Information:
     """Posterior components divided by the priors of law and steepness.
 
@@ -238,7 +234,7 @@ def _likelihood(
     constrains next to nothing in that direction: its precision is set to a small value there, and
     its mass under the priors to its weight.
     """
-    prior = _priors(mean, tangent, steepness)
+    prior = _priors(mean, tangent)
     precision: FloatArray = np.asarray(np.linalg.inv(covariance), float)
     linear = np.einsum("nkij,nkj->nki", precision, mean)
     with np.errstate(divide="ignore"):
@@ -269,9 +265,9 @@ def _likelihood(
     return Information(*(np.where(here, new, old) for here, new, old in mended))
 
 
-def _priors(mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]) -> Information:
+def _priors(mean: FloatArray, tangent: FloatArray) -> Information:
     """Priors of steepness and law in the looks' coordinates, linearised at component means."""
-    level, linear, precision = _steepness_of_looks(mean, tangent, steepness)
+    level, linear, precision = _steepness_of_looks(mean, tangent)
     if mean.shape[2] == 5:
         precision[:, :, LAW, LAW] += np.diag(1 / LAW_VARIANCE)
         linear[:, :, LAW] += LAW_MEAN / LAW_VARIANCE
@@ -279,15 +275,9 @@ def _priors(mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float
     return Information(level, linear, precision)
 
 
-def _steepness_of_looks(
-    mean: FloatArray, tangent: FloatArray, steepness: tuple[float, float]
-) -> Information:
+def _steepness_of_looks(mean: FloatArray, tangent: FloatArray) -> Information:
     """Prior of steepness in the looks' coordinates, linearised at their means (N, K, D)."""
-    median, sd = steepness
-    if not np.isfinite(sd):
-        return Information(
-            np.zeros(mean.shape[:2]), 0 * mean, 0 * mean[..., None] * mean[..., None, :]
-        )
+    median, sd = NATURAL_STEEPNESS
     row = np.zeros(mean.shape)
     row[..., [LOG_F, LOG_HEIGHT]] = 1.0
     middle = np.full(mean.shape[:2], np.log(0.5 * median))
@@ -411,29 +401,17 @@ def law_factor(shared: Shared, with_law: bool) -> Information:
     return Information(level, linear, precision)
 
 
-def steepness_factor(size: int, steepness: tuple[float, float]) -> Information:
-    """Prior of natural steepness as a factor of log f and log A_H.
+def steepness_factor(size: int) -> Information:
+    """Prior of natural steepness as a factor of log f and log A_H, of one component.
 
-    Parameters
-    ----------
-    size : int
-        Number of coordinates.
-    steepness : tuple of float
-        Median and log standard deviation of crest to trough over wavelength; the latter infinite
-        for no prior.
-
-    Returns
-    -------
-    Information ()
-        With one component.
+    `size` is the number of coordinates.
     """
-    linear, precision, level = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
-    median, sd = steepness
-    if np.isfinite(sd):
-        both = np.zeros(size)
-        both[[LOG_F, LOG_HEIGHT]] = 1.0
-        middle = np.log(0.5 * median)
-        linear[0] = middle * both / sd**2
-        precision[0] = np.outer(both, both) / sd**2
-        level[0] = -0.5 * (middle / sd) ** 2 - np.log(sd)
-    return Information(level, linear, precision)
+    median, sd = NATURAL_STEEPNESS
+    both = np.zeros(size)
+    both[[LOG_F, LOG_HEIGHT]] = 1.0
+    middle = np.log(0.5 * median)
+    return Information(
+        np.array([-0.5 * (middle / sd) ** 2 - np.log(sd)]),
+        (middle * both / sd**2)[None],
+        (np.outer(both, both) / sd**2)[None],
+    )

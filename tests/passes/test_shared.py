@@ -20,7 +20,6 @@ from sasmap.passes.looks import (
     _priors,
     collect,
     law_factor,
-    steepness_factor,
 )
 from sasmap.passes.shared import SurveyModel
 from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
@@ -316,19 +315,18 @@ def test_a_look_is_compared_with_all_others_together():
     model = SurveyModel((known,), True)
     honest = [[seen(rng, 0.8, 0.05, law, 15, False) for _ in range(4)] for _ in range(40)]
     false = [[seen(rng, 0.8, 0.065, law, 15, False), *looks[1:]] for looks in honest]
-    steepness = (MEDIAN, SD)
     for cells, lost in ((honest, 0.05), (false, 0.5)):
-        looks = collect(cells, steepness)
-        pairs = agreeing_pairs(looks, model, steepness, len(cells))
-        groups = together(looks, model, steepness, pairs)
+        looks = collect(cells)
+        pairs = agreeing_pairs(looks, model, len(cells))
+        groups = together(looks, model, pairs)
         named = np.mean([0 not in group for group in groups])
         assert (named <= lost) if cells is honest else (named >= lost)
     # by pairs alone fewer are found
     assert named > np.mean([0 not in group for group in pairs]) + 0.2
 
 
-def agreeing_pairs(looks, model, steepness, cells):
-    found = distances_of(looks, model, steepness, cells)
+def agreeing_pairs(looks, model, cells):
+    found = distances_of(looks, model, cells)
     return [agreeing(d, v) for d, v in zip(*found, strict=True)]
 
 
@@ -362,10 +360,10 @@ def test_a_look_in_parts_is_the_look():
 
 def test_looks_in_height_are_those_in_contrast_under_the_law():
     cells, _ = survey(15, 3, 1)
-    looks = collect(cells, (MEDIAN, SD))
+    looks = collect(cells)
     law = np.array([1.7, 0.3])
     known = Shared(law, np.full(2, 1e-4), np.zeros(2), np.array([0.2]), np.full(3, 1e-9), 0.1, 0.03)
-    prior = with_prior(law_factor(known, True), steepness_factor(5, (MEDIAN, np.inf)))
+    prior = law_factor(known, True)
     _, mean, _ = moments(with_prior(without_scatter(looks, known), prior))
     _, contrast, _ = moments(with_prior(looks.factor, prior))
     raised = looks.altitude_gain * 0.2 / looks.altitude
@@ -388,7 +386,7 @@ def test_no_look_knows_less_than_its_prior():
     narrow = np.diag([1e-3, 0.05, 1.0, 0.3, 0.2]) ** 2
     covariance = np.array([[wide], [narrow]])
     mean = np.tile([0.0, -1.0, 40.0, 1.2, 0.4], (2, 1, 1))
-    told = _likelihood(np.ones((2, 1)), mean, covariance, np.full(2, 0.3), (0.09, np.log(2)))
+    told = _likelihood(np.ones((2, 1)), mean, covariance, np.full(2, 0.3))
     assert (np.linalg.eigvalsh(told.precision) > 0).all()
     free = np.linalg.inv(narrow)
     free[LAW, LAW] -= np.diag(1 / LAW_VARIANCE)
@@ -402,11 +400,10 @@ def test_a_stray_component_neither_sharpens_a_look_nor_outweighs_it():
     stray = np.diag([2e-3, 2.8, 1.0, 0.4, 0.3]) ** 2
     weight = np.array([[0.999, 0.001]])
     mean = np.array([[[-0.3, -1.0, 40.0, 1.2, 0.4], [-0.3, -5.0, 40.0, 1.2, 0.4]]])
-    steepness = 0.09, np.log(2)
-    told = _likelihood(weight, mean, np.array([[sure, stray]]), np.full(1, 0.3), steepness)
+    told = _likelihood(weight, mean, np.array([[sure, stray]]), np.full(1, 0.3))
     np.testing.assert_allclose(np.linalg.inv(told.precision)[0, :, 0, 0] ** 0.5, 2e-3, rtol=0.02)
     # times the prior that it was divided by, each component has the mass that it had
-    prior = _priors(mean, np.full(1, 0.3), steepness)
+    prior = _priors(mean, np.full(1, 0.3))
     level, linear, precision = (a + b for a, b in zip(told, prior, strict=True))
     square = (linear * np.linalg.solve(precision, linear[..., None])[..., 0]).sum(axis=-1)
     mass = np.exp(level + 0.5 * (square - np.linalg.slogdet(precision)[1]))
