@@ -84,7 +84,7 @@ def _add_survey_verbs(verbs: Any) -> None:
         description="Run a survey. Example: sasmap run sample_data/survey.yaml",
     )
     run.add_argument("survey", type=Path, help="survey file")
-    run.add_argument("--output", type=Path, metavar="DIR", help="folder of the products")
+    run.add_argument("--output", type=_folder, metavar="DIR", help="folder of the products")
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
     where.add_argument("--scheduler", metavar="ADDRESS", help="dask.distributed scheduler to use")
@@ -98,7 +98,7 @@ def _add_survey_verbs(verbs: Any) -> None:
         description="Show what would run, and what is left out. Example: sasmap plan survey.yaml",
     )
     plan.add_argument("survey", type=Path, help="survey file")
-    plan.add_argument("--output", type=Path, metavar="DIR", help="folder of the products")
+    plan.add_argument("--output", type=_folder, metavar="DIR", help="folder of the products")
     plan.add_argument("--workers", type=_positive, metavar="N", help="threads; default: cores")
     plan.set_defaults(call=_plan)
 
@@ -111,7 +111,7 @@ def _add_other_verbs(verbs: Any) -> None:
         description="Simulate a survey. Example: sasmap simulate scene.yaml --output scene",
     )
     simulate.add_argument("scene", type=Path, help="scene file")
-    simulate.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
+    simulate.add_argument("--output", type=_folder, required=True, metavar="DIR", help="folder")
     simulate.set_defaults(call=_simulate)
 
     tiles = verbs.add_parser(
@@ -121,7 +121,7 @@ def _add_other_verbs(verbs: Any) -> None:
         "a survey file. Example: sasmap tiles LINE.xtf --output line",
     )
     tiles.add_argument("recording", type=Path, help="XTF file")
-    tiles.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder")
+    tiles.add_argument("--output", type=_folder, required=True, metavar="DIR", help="folder")
     tiles.add_argument("--crs", help="CRS of its positions, where they are in metres")
     tiles.add_argument("--pixel", type=_metres, metavar="M", help="pixel size, m")
     tiles.set_defaults(call=_tiles)
@@ -161,6 +161,12 @@ def _metres(text: str) -> float:
     if not 1e-3 <= value <= 100:
         raise argparse.ArgumentTypeError(f"expected metres from 0.001 to 100, got {text!r}")
     return value
+
+
+def _folder(text: str) -> Path:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("expected a folder, got an empty text")
+    return Path(text)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -214,9 +220,11 @@ def _plan(options: argparse.Namespace) -> int:
     if options.output is not None:
         survey = survey.model_copy(update={"output": str(options.output.absolute())})
     plan = make_plan(survey)
-    for line in (*describe(plan), *describe_window(plan), *describe_cost(plan, options.workers)):
+    for line in describe(plan):
         print(line)
     check_fits(plan, options.workers)
+    for line in (*describe_window(plan), *describe_cost(plan, options.workers)):
+        print(line)
     _repeat(plan.opened.warnings)
     return COMPLETE
 

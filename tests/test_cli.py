@@ -184,3 +184,35 @@ sasmap.cli.console()
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
 def test_threads_share_heaps():
     assert _share_heaps()
+
+
+def test_plan_refuses_what_run_would_before_it_reads_wide_windows(tmp_path, capsys, monkeypatch):
+    path = small_survey(tmp_path, output="nav.csv")
+    assert main(["plan", str(path)]) == 2
+    assert "nav.csv: output folder cannot be made" in capsys.readouterr().err
+    path = small_survey(tmp_path)
+    monkeypatch.setattr("sasmap.run.suggestion.describe_window", lambda plan: 1 / 0)
+    monkeypatch.setattr("sasmap.run.cost.WORKING", 1e12)
+    assert main(["plan", str(path)]) == 2
+    assert "memory" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["run", "plan"])
+def test_an_empty_output_is_not_the_current_folder(verb, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([verb, str(small_survey(tmp_path)), "--output", ""])
+    assert stop.value.code == 2
+    assert "expected a folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"ripples": {"height": [0, 7]}}, "ripples.height: expected bounds of A_H in metres"),
+        ({"ripples": True}, "ripples: expected keys and values below it"),
+        ({"area": None, "passes": [{"name": "a", "tiles": "*.tif"}]}, "expected a list, such as"),
+    ],
+)
+def test_values_of_another_kind_are_told_in_plain_words(changes, says, tmp_path, capsys):
+    assert main(["plan", str(small_survey(tmp_path, **changes))]) == 2
+    assert says in capsys.readouterr().err

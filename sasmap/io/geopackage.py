@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 
 # The date that GDAL would write is fixed, so that the bytes depend on the features alone.
 DATE = "2000-01-01T00:00:00.000Z"
+# Characters of a fault that are passed on: SQLite repeats the whole statement.
+MOST_TOLD = 200
 
 
 class Feature(NamedTuple):
@@ -168,7 +170,8 @@ def write_layer(
             )
         except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
             draft.unlink(missing_ok=True)
-            raise OSError(f"{path}: cannot be written: {error}") from None
+            told = " ".join(str(error).split())[-MOST_TOLD:]  # the cause follows the statement
+            raise OSError(f"{path}: cannot be written: {told}") from None
         finally:
             pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
         os.replace(draft, part)

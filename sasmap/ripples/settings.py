@@ -8,6 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 Bounds = tuple[FiniteFloat, FiniteFloat]
+# Largest bound of A_H, m: half the height of a wave of 20 m, the longest, at a slope of 1.
+MOST_HEIGHT = 3.2
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
@@ -69,6 +71,13 @@ class RippleSettings(BaseModel):
         low, high = value
         if low < 0 or high <= low:
             raise ValueError(f"expected 0 <= lower < upper bound, got [{low:g}, {high:g}]")
+        return value
+
+    @field_validator("height")
+    @classmethod
+    def _in_metres(cls, value: Bounds) -> Bounds:
+        if value[1] > MOST_HEIGHT:
+            raise ValueError(f"expected bounds of A_H in metres, at most {MOST_HEIGHT:g}")
         return value
 
     @model_validator(mode="after")

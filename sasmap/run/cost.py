@@ -151,7 +151,7 @@ def compiled() -> bool:
 
 
 def check_fits(plan: Plan, workers: int | None) -> None:
-    """Refuse a run that needs more memory or disk space than this machine has.
+    """Refuse a run whose output cannot be written, or that needs more than this machine has.
 
     Raises
     ------
@@ -160,6 +160,11 @@ def check_fits(plan: Plan, workers: int | None) -> None:
     cost = cost_of(plan, workers)
     folder = plan.settings.output_folder
     faults = []
+    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not above.is_dir():
+        faults.append(f"{folder}: output folder cannot be made: {above} is a file")
+    elif not os.access(above, os.W_OK | os.X_OK):
+        faults.append(f"{folder}: output folder cannot be written to")
     free = shutil.disk_usage(_existing(folder)).free
     if cost.disk > free:
         faults.append(

@@ -157,6 +157,13 @@ def _name_stale(store: Store, outcome: Outcome) -> None:
         )
 
 
+class _LogFile(logging.FileHandler):
+    """A log file that does not complain: a full disk ends the run in one line of its own."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """Drop a line that cannot be written."""
+
+
 @contextmanager
 def _logged(path: Path) -> Iterator[Callable[[str], None]]:
     """Copy log messages to a file, with times; record there how the run ended.
@@ -164,7 +171,7 @@ def _logged(path: Path) -> Iterator[Callable[[str], None]]:
     Yields a function that writes a line to the file alone.
     """
     try:
-        handler = logging.FileHandler(path, encoding="utf-8")
+        handler = _LogFile(path, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))

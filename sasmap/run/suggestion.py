@@ -17,7 +17,7 @@ LOOKS, SHOWN = 12, 0.25
 # Minimum and ideal number of wavelengths in a window (docs/guide.md); step of suggestions, pixels.
 ENOUGH, WANTED, STEP = 5.0, 8.0, 10
 # Window sides in cells that are tried in turn until one shows ripples: the last holds 3.5
-# wavelengths where a cell holds half of one. Maximum side in pixels of those after the first (a
+# wavelengths where a cell holds half of one. Maximum side in pixels of those wider than a cell (a
 # choice: seconds).
 WINDOWS, LARGEST = (WIDER, 2 * WIDER, 4 * WIDER), 1200
 
@@ -41,7 +41,8 @@ def describe_window(plan: Plan) -> Iterator[str]:
     """
     if plan.settings.ripples is None:
         return
-    lengths, seen = _wavelengths(plan, WIDER)
+    first = WIDER if WIDER * plan.settings.window <= LARGEST else 1.0
+    lengths, seen = _wavelengths(plan, first)
     for cells in WINDOWS[1:]:
         if not lengths and cells * plan.settings.window <= LARGEST:
             lengths, _ = _wavelengths(plan, cells)

@@ -371,6 +371,9 @@ def _message(model: type[BaseModel], detail: ErrorDetails) -> str:
     if kind in ("too_short", "too_long"):
         length = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
         return f"expected {'at least' if kind == 'too_short' else 'at most'} {length} entries"
+    plain = {"tuple_type": "a list, such as [a, b]", "model_type": "keys and values below it"}
+    if kind in plain:
+        message = f"expected {plain[kind]}"
     message = message.replace("Input should be", "expected")
     return f"{message[0].lower()}{message[1:]}, got {_short(given)}"
 

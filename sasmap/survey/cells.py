@@ -21,6 +21,8 @@ MAX_STRETCH = 0.02
 # Number of cells beyond which the plan alone takes minutes: 4 million of 12.5 m cover 25 km x 25
 # km.
 MAX_CELLS = 4_000_000
+# Distance from the nearest other tile at which a tile is misplaced where cells are too many, m.
+APART = 20_000.0
 
 
 class Cell(NamedTuple):
@@ -143,9 +145,25 @@ def lay_grid(tiles: list[Tile], crs: str, window: int) -> CellGrid:
     slack = 1e-3 / window
     columns = max(1, int(np.ceil((right - left) / size - slack)))
     rows = max(1, int(np.ceil((top - bottom) / size - slack)))
+    if rows * columns > MAX_CELLS:
+        _check_together(tiles, 0.5 * (west + east), 0.5 * (south + north))
     grid = CellGrid(crs, float(left), float(top), size, rows, columns, size)
     check_count(grid, str(tiles[0].path))
     return grid
+
+
+def _check_together(tiles: list[Tile], x: FloatArray, y: FloatArray) -> None:
+    """Refuse a tile whose centre (x, y) lies far from all others, which have theirs together."""
+    middle = (np.median(x), np.median(y)) if len(tiles) > 2 else (x[0], y[0])
+    away = np.hypot(x - middle[0], y - middle[1])
+    worst = int(np.argmax(away))
+    others = np.delete(np.hypot(x - x[worst], y - y[worst]), worst)
+    if others.size and others.min() > APART:
+        tile = tiles[worst]
+        raise InputError(
+            f"{tile.path}: lies {others.min() / 1000:,.0f} km from the nearest other tile: check "
+            f"its CRS ({pyproj.CRS.from_wkt(tile.lattice.crs).name}) and its origin"
+        )
 
 
 def check_count(grid: CellGrid, where: str) -> None:
@@ -187,8 +205,11 @@ def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
         by more than 2 % (as Web Mercator may).
     """
     advice = "choose a projected CRS in metres, such as the UTM zone of the survey"
+    if crs.is_compound or len(crs.axis_info) > 2:
+        raise InputError(f"{where}: CRS {crs.name!r} has heights: {advice}, without them")
     if not crs.is_projected:
-        raise InputError(f"{where}: geographic CRS {crs.name!r}: {advice}")
+        kind = "geographic" if crs.is_geographic else crs.type_name.removesuffix(" CRS").lower()
+        raise InputError(f"{where}: {kind} CRS {crs.name!r}: {advice}")
     if any(abs(axis.unit_conversion_factor - 1.0) > 1e-9 for axis in crs.axis_info[:2]):
         raise InputError(f"{where}: CRS {crs.name!r} is in {crs.axis_info[0].unit_name}: {advice}")
     longitude, latitude = pyproj.Proj(crs)(x, y, inverse=True)

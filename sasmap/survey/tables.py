@@ -36,6 +36,10 @@ _METRES_ABOVE = re.compile(r"^(m|met(er|re)s?) (above|over|from) ")
 # Thousands separators between digits: spaces of several widths and apostrophes.
 _THOUSANDS = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(\D|$))")
 _UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+# A unit to be refused at the end of a name without brackets: altitude_ft.
+_UNIT_TO_REFUSE = re.compile(
+    r"^(.+?)[_\s.-]+(ft|foot|feet|yds?|yards?|fm|fathoms?|mm|cm|dm|km|nm|rad|radians?)$", re.I
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,5 +280,5 @@ def _short(error: Exception) -> str:
 def _name_and_unit(name: str) -> tuple[str, str]:
     """Split a header cell: "Altitude (m)" is altitude in m."""
     bare = name.strip().strip("\"'").strip()
-    found = _UNIT.match(bare)
+    found = _UNIT.match(bare) or _UNIT_TO_REFUSE.match(bare)
     return (found[1].lower(), found[2]) if found and found[1] else (bare.lower(), "")

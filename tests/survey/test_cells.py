@@ -3,7 +3,7 @@ import pyproj
 import pytest
 
 from sasmap.errors import InputError
-from sasmap.survey.cells import Cell, CellGrid, check_grid_crs, lay_grid
+from sasmap.survey.cells import Cell, CellGrid, check_count, check_grid_crs, lay_grid
 from sasmap.survey.tiles import inspect_tile
 from tests.helpers import UTM, write_tile
 from tests.survey.test_tiles import NORTH_UP, RAMP, shift
@@ -43,6 +43,8 @@ def test_whole_pixels_do_not_make_a_sliver_of_a_cell(tmp_path):
         ("EPSG:4326", -81.0, 29.8, "geographic CRS"),
         ("EPSG:3857", -9016879.0, 3472000.0, "stretches distances"),
         ("EPSG:2236", 600000.0, 600000.0, "US survey foot"),
+        ("EPSG:32617+5714", 500000.0, 3300000.0, "has heights"),
+        ("EPSG:5714", 500000.0, 3300000.0, "vertical CRS"),
     ],
 )
 def test_crs_whose_numbers_are_not_metres_on_the_ground(crs, x, y, says):
@@ -68,7 +70,26 @@ def test_a_grid_too_large_to_hold_is_refused(tmp_path):
         inspect_tile(write_tile(tmp_path / f"{k}.tif", RAMP, t))
         for k, t in enumerate((NORTH_UP, far))
     ]
-    with pytest.raises(InputError, match="choose a larger window"):
+    with pytest.raises(InputError, match=r"1\.tif: lies .* km from the nearest other tile"):
+        lay_grid(tiles, tiles[0].lattice.crs, 4)
+
+
+def test_too_many_cells_of_tiles_that_lie_together_are_refused():
+    check_count(CellGrid(WKT, 0.0, 0.0, 1.0, 2000, 2000, 1.0), "a.tif")
+    with pytest.raises(InputError, match="a.tif: .*choose a larger window"):
+        check_count(CellGrid(WKT, 0.0, 0.0, 1.0, 2001, 2000, 1.0), "a.tif")
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_the_tile_in_another_zone_is_named(tmp_path, count):
+    """Once the first tile was named, and a larger window advised."""
+    tiles = [
+        inspect_tile(
+            write_tile(tmp_path / f"{k}.tif", RAMP, NORTH_UP, crs=zone),
+        )
+        for k, zone in enumerate([UTM] * (count - 1) + ["EPSG:32618"])
+    ]
+    with pytest.raises(InputError, match=rf"{count - 1}.tif: lies .* km .*zone 18N"):
         lay_grid(tiles, tiles[0].lattice.crs, 4)
 
 

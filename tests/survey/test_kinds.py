@@ -378,6 +378,8 @@ KINDS = [
     ("every fix held for two pings", "same", (), pings(np.repeat(track(), 2, axis=0))),
     ("units in a row of their own", "same", (),
      text(rows_of(track(), head="x,y,altitude\nm,m,m"))),
+    ("altitude in feet by its name", "refuse", ("nav.csv", "row 1", "'ft'"),
+     text(rows_of(track(), head="x,y,altitude_ft"))),
     ("feet in a row of their own", "refuse", ("nav.csv", "'ft'"),
      text(rows_of(track(), head="x,y,altitude\nm,m,ft"))),
     ("unit with a remark", "same", (),
