@@ -1,4 +1,4 @@
-"""Check that the tiles of a pass have equal gains where they overlap or meet."""
+"""Check that tiles of a pass agree where they overlap or meet: in gain, and in place."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import shapely
 
 from sasmap.numerics.threads import mapped
 from sasmap.survey.lattice import FloatArray, Window, bounding_window
+from sasmap.survey.offsets import offset_between
 from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 
 # Largest difference, dB, between overlapping tiles, and between the two sides of a seam, which are
@@ -27,8 +28,8 @@ SIDE, STRIPS, LEAST = 192, (24, 192), 400
 MOST_PAIRS = 3000
 
 
-def compare_gains(tiles: tuple[Tile, ...], crs: str) -> list[str]:
-    """Report tiles of a pass whose gain differs from a neighbour's.
+def compare_tiles(tiles: tuple[Tile, ...], crs: str) -> list[str]:
+    """Report tiles of a pass whose gain or place differs from a neighbour's.
 
     Parameters
     ----------
@@ -66,9 +67,15 @@ def _neighbours(tiles: tuple[Tile, ...], crs: str) -> Iterator[tuple[Tile, Tile]
 
 
 def _compare(pair: tuple[Tile, Tile]) -> str | None:
-    """Describe how a tile's gain differs from another's, if it does."""
+    """Describe how a tile's place or gain differs from another's, if it does."""
     first, second = pair
     try:
+        if away := _away(first, second):
+            return (
+                f"{second.path}: shows the same sea floor {away:.2g} m from where "
+                f"{first.path.name} shows it: f and A_H are wrong where they overlap; check the "
+                "origins of the tiles"
+            )
         difference, limit, where = _overlapping(first, second) or _meeting(first, second)
     except OSError:
         return None  # an undecodable block fails its cells, not the survey
@@ -80,6 +87,15 @@ def _compare(pair: tuple[Tile, Tile]) -> str | None:
         f"{where}: expected one gain in a pass; give each gain its own pass, or scale "
         "the tiles alike"
     )
+
+
+def _away(first: Tile, second: Tile) -> float:
+    """Distance, m, between the places where two tiles show the same floor; 0 where they agree."""
+    for part in _pieces(_box(first, second, 0).intersect(first.window)):
+        moved = offset_between(*(read_mosaic((t,), first.lattice, part) for t in (first, second)))
+        if moved is not None:
+            return float(np.hypot(*moved)) * first.pixel_size
+    return 0.0
 
 
 def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:

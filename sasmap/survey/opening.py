@@ -21,7 +21,7 @@ from sasmap.numerics.threads import mapped
 from sasmap.settings.survey import PassSettings, Survey
 from sasmap.survey.cells import CellGrid, check_grid_crs, lay_grid
 from sasmap.survey.contents import look_into
-from sasmap.survey.gains import compare_gains
+from sasmap.survey.gains import compare_tiles
 from sasmap.survey.navigation import read_navigation
 from sasmap.survey.passes import Side, SonarPass, open_lazily
 from sasmap.survey.polygons import EXPECTED, on_tiles, read_polygons
@@ -263,7 +263,7 @@ def _open(
     for one in found:
         check_altitude(one, crs, warnings)
         warnings += check_column(one, crs) or check_ripples(one, crs)
-        warnings += compare_gains(one.tiles, crs)
+        warnings += compare_tiles(one.tiles, crs)
     warnings += _check_pixels(found, crs)
     return found
 

@@ -76,7 +76,7 @@ def test_a_grid_too_large_to_hold_is_refused(tmp_path):
 
 def test_too_many_cells_of_tiles_that_lie_together_are_refused():
     check_count(CellGrid(WKT, 0.0, 0.0, 1.0, 2000, 2000, 1.0), "a.tif")
-    with pytest.raises(InputError, match="a.tif: .*choose a larger window"):
+    with pytest.raises(InputError, match=r"a\.tif: .*choose a larger window"):
         check_count(CellGrid(WKT, 0.0, 0.0, 1.0, 2001, 2000, 1.0), "a.tif")
 
 

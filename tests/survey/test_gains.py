@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from affine import Affine
 
-from sasmap.survey.gains import compare_gains
+from sasmap.survey.gains import compare_tiles
 from sasmap.survey.tiles import inspect_tile
 from tests.helpers import write_tile
 
@@ -36,5 +36,5 @@ def test_a_step_is_told_whether_or_not_crests_run_along_the_seam(tmp_path, gain,
     amplitude = (
         rng.rayleigh(size=(400, 800)) * wave * np.where(column < 400, 1.0, 10 ** (gain / 20))
     )
-    told = compare_gains(tiles(tmp_path, amplitude, 400), CRS)
+    told = compare_tiles(tiles(tmp_path, amplitude, 400), CRS)
     assert len(told) == (1 if gain else 0)
