@@ -42,6 +42,9 @@ from sasmap.ripples.settings import RippleSettings
 FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
+# Largest noise factor that correlated speckle explains, and error of log A_H for each factor of e
+# beyond it: small ripples on large ones (pipelines/studies/beds.py).
+MISFIT = (4.0, 0.2)
 # Misfit of lit sea floor that remains where all waves have one height, and error of log A_H per
 # unit beyond it (pipelines/studies/varying.py).
 ONE_HEIGHT, VARYING = 0.01, 2.2
@@ -337,7 +340,7 @@ def _labelled(
     turns = np.floor(azimuth.mean() / 180.0)
     # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
-    error = np.hypot(_varying(fit), crossing)
+    error = np.hypot(_height_error(fit), crossing)
     height = float(named["height"].mean())
     known = min(fit.geometry.steepness_sd, fit.geometry.height_sd / height)  # of log A_H, a priori
     most = (UNKNOWN * known) ** 2 - float(np.log(named["height"]).var())
@@ -346,6 +349,12 @@ def _labelled(
     named["height"] *= np.exp(error * rng.standard_normal(shape) - 0.5 * error**2)
     frequency = np.hypot(along, across)
     return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
+
+
+def _height_error(fit: Fit) -> float:
+    """Error of log A_H where the image contains something that the model lacks."""
+    largest, per_log = MISFIT
+    return float(np.hypot(_varying(fit), per_log * max(np.log(fit.noise_factor / largest), 0.0)))
 
 
 def _varying(fit: Fit) -> float:

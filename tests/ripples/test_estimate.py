@@ -297,7 +297,7 @@ def test_crests_that_cross_are_an_error_of_each_other():
 
 
 def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
-    monkeypatch.setattr(estimation, "_varying", lambda fit: 5.0)
+    monkeypatch.setattr(estimation, "_height_error", lambda fit: 5.0)
     posterior = estimate(cell(6, near=6.0).clip, DEFAULT, rng=1)
     spread = float(np.log(posterior.draws.height).std())
     prior = posterior.prior.steepness[1]
