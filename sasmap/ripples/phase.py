@@ -251,7 +251,9 @@ def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
     product = even * np.conj(odd)
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
     smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.05, 1.2))
-    mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear)
+    # the stiffer fields pass over some forks; none is counted where crests only wander
+    forks = max(_forks(_unit(field), weight) for field in trials.both)
+    mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear, forks)
     field = _unit(both)
     return PhaseField(
         boxes.wave,
@@ -273,7 +275,12 @@ def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
 
 
 def _mean_wave(
-    image: Image, boxes: BoxSums, field: ComplexArray, weight: FloatArray, smear: float
+    image: Image,
+    boxes: BoxSums,
+    field: ComplexArray,
+    weight: FloatArray,
+    smear: float,
+    forks: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean wave vector of the phase along and across the look, and its error, cycles/m.
 
@@ -301,8 +308,8 @@ def _mean_wave(
     mean = _along_and_across(image, image.per_metre(per_pixel))
     length = boxes.size * image.pixel_size
     sd = WANDER_SHARE * float(np.hypot(*spreads)) / (2 * np.pi * length)
-    forks = FORK_TURN * np.sqrt(_forks(field, weight)) / (max(weight.shape) * length)
-    return mean, np.full(2, np.hypot(sd, forks))
+    turned = FORK_TURN * np.sqrt(forks) / (max(weight.shape) * length)
+    return mean, np.full(2, np.hypot(sd, turned))
 
 
 def _forks(field: ComplexArray, weight: FloatArray) -> int:

@@ -9,7 +9,7 @@ from sasmap.ripples import RippleSettings, estimate
 from sasmap.ripples.demodulation import demodulate, refined_wave, rewaved, turned_back
 from sasmap.ripples.fit import fitted, refined
 from sasmap.ripples.optimise import search
-from sasmap.ripples.phase import STRAIGHT, best_field, trial_fields
+from sasmap.ripples.phase import FORK_TURN, STIFFNESS, STRAIGHT, best_field, trial_fields
 from sasmap.ripples.pixels import spread_boxes
 from sasmap.ripples.posterior import LeftOut, Quality
 from sasmap.ripples.rendered import lag_over_range
@@ -59,6 +59,21 @@ def scores(made):
     upright = turned_back(image, boxes, lag_over_range(fitted(task, field, boxes.trend, search)))
     upright = rewaved(image, upright, refined_wave(image, upright, upright.count > 0))
     return trial_fields(upright).scores
+
+
+def test_a_fork_that_the_best_field_passes_over_is_an_error_of_the_mean_wave():
+    errors = []
+    for forks in (0, 1):
+        made = wandering_cell(11, forks=forks, wander=0.4)
+        image, *_ = summed(made.clip, made.wave)
+        boxes = demodulate(image, made.wave)
+        boxes = rewaved(image, boxes, refined_wave(image, boxes, boxes.count > 0))
+        trials = trial_fields(boxes)
+        stiffest = trials._replace(scores=np.arange(len(STIFFNESS)) * 10.0)
+        errors.append(best_field(image, boxes, stiffest).wave_sd[0])
+    clip = max(made.clip.amplitude.shape) * made.clip.pixel_size
+    assert errors[0] < 0.5 * FORK_TURN / clip
+    assert errors[1] > 0.9 * FORK_TURN / clip
 
 
 def test_straight_is_the_limit_of_bent():
