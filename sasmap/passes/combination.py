@@ -32,7 +32,7 @@ from sasmap.ripples.mixture import weighted
 
 FloatArray = NDArray[np.float64]
 
-# Least weight of the components of a cell's estimate: smaller ones change no digit of the products.
+# Least weight of the components of a cell's estimate, times the number of draws.
 NEGLIGIBLE = 1e-4
 
 

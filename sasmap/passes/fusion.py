@@ -43,7 +43,7 @@ class FusedCell:
     Attributes
     ----------
     priors, posteriors : tuple of CellEstimate
-        Before and after each look, in order; unknown before the first informative look.
+        Before and after each look, in order; flat before the first informative look.
     disagreements : tuple of float
         Squared Mahalanobis distance of each look from the nearest other look of the agreeing group
         (chi-squared with 3 degrees of freedom by chance); NaN without others.

@@ -2,8 +2,9 @@
 
 Each look at a cell is estimated alone, under a broad prior of the scattering law. The shared
 parameters are estimated here from the looks' posteriors (Lunn, Barrett, Sweeting and Thompson
-2013): the laws of two sediments with their spreads from look to look, altitude offset of each
-swath, and scatter between passes over one cell. Looks with shadow inform the law for looks without.
+2013): the laws of up to four sediments with their spreads from look to look, altitude offset of
+each swath, and scatter between passes over one cell. Looks with shadow inform the law for looks
+without.
 
 A survey may cover several sediments. Laws are drawn from a mixture of populations, each with its
 mean, spread, bias of the echo shape, and share of the cells. Where the map has several sediments,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# Intensity added to every pixel, over the clip's mean: no sonar image extends to more than 30 dB
+# Intensity added to every pixel, over the clip's mean: no sonar image extends to more than 25 dB
 # below its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as
 # proof of a noise floor of zero.
 DYNAMIC_RANGE = 3e-3

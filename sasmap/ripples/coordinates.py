@@ -2,7 +2,8 @@
 
 An image constrains contrast unless shadow constrains height. Where it does, contrast depends on
 height and law along a curve, which a mixture of Gaussians approximates poorly. The logs of contrast
-and height differ by a function of the law alone, so that densities are the same in both.
+and height differ, to first order, by a function of the law alone, so that densities are the same in
+both.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Extent of the ripples in a clip, pixel by pixel, and the defects of their crests.
 
-The clip is demodulated at its wave and smoothed over half a wavelength. Smoothing halves the
-amplitude at the edge of a patch, whatever lies beyond: a pixel lies on rippled floor where the
-local amplitude exceeds half of that of the ripples. Contrast grows towards low grazing angles, so
-amplitudes are divided by the angle from the vertical, as in `sasmap.ripples.demodulation`.
+The clip is demodulated at its wave and smoothed over half a wavelength, or more in speckle.
+Smoothing halves the amplitude at the edge of a patch, whatever lies beyond: a pixel lies on rippled
+floor where the local amplitude exceeds half of that of the ripples. Contrast grows towards low
+grazing angles, so amplitudes are divided by the angle from the vertical, as in
+`sasmap.ripples.demodulation`.
 """
 
 from __future__ import annotations

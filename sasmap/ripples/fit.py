@@ -74,8 +74,8 @@ TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS, LINEARISED = 2, 6, 2, 2
 # Least wave number along the look over that across (a choice: height is not identifiable below
 # seven times it, detection.MIN_ALONG).
 LEAST_ALONG = 0.01
-# Steepest slope of a peaked profile over that of a sine of the same height.
-PEAKED_SLOPE = 1.5
+# Steepest slope of a profile within the prior over that of a sine of the same height (1.76).
+PEAKED_SLOPE = 1.8
 # Expected intensity over the mean below which pixels are left out of the noise factor.
 DARK = 0.1
 
@@ -158,8 +158,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     if law is not None:
         fixed[:2] = law
     rule = CREST if settings.shadow == "crest" else LINE_OF_SIGHT
-    # no shadow if no slope within the prior, even of a peaked profile, is as steep as the lowest
-    # ray
+    # no shadow if no slope within the prior is as steep as the lowest ray
     slope = min(2 * np.pi * float(np.hypot(along, across)) * prior.bounds[1][1], 1.0)
     if PEAKED_SLOPE * slope < float((data.altitude / data.ground_range).min()):
         rule = 0

@@ -68,7 +68,7 @@ class PhaseField:
         Phase of a straight wave's image at the clip's centre, cycles.
     mean_wave, wave_sd : ndarray (2,)
         Mean wave vector of the image's phase along and across the look, cycles/m, and its standard
-        deviation under independent speckle.
+        deviation due to wander, forks and slight bends.
     error : float
         Error of the field at a pixel, rad; 0 where rigid.
     coherence_length : float

@@ -184,8 +184,7 @@ def sum_pixels(  # type: ignore[no-untyped-def]
 def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type: ignore[no-untyped-def]
     """Spread pulses (blocks, bins) over the pixels that are known; 0 elsewhere.
 
-    The inverse of :func:`sum_pixels`: `places` are the blocks' mean ranges, between which pulses
-    are interpolated.
+    `places` are the blocks' mean ranges; pulses are interpolated between blocks and bins.
     """
     rows, columns = known.shape
     blocks, bins = pulses.shape

@@ -131,9 +131,10 @@ class Posterior:
     draws : Dataset (chain, draw)
         ``frequency`` (cycles/m), ``height`` (A_H, m), ``azimuth`` (crest normal, degrees clockwise
         from grid north, unwrapped about its mean), and the other parameters of
-        :class:`sasmap.ripples.rendering.Parameters`; empty where no ripple was sampled.
+        :class:`sasmap.ripples.rendering.Parameters` but for the wave offset; empty where no ripple
+        was sampled.
     acceptance : float
-        Accepted fraction of the kept steps.
+        Accepted fraction of the independence proposals of the kept draws.
     left_out : LeftOut
         Steps that were left out.
     probability : float

@@ -3,7 +3,7 @@
 The log density may be any function of points; nothing here is specific to ripples. The proposal is
 an independence proposal, a mixture of Student t densities fitted to a weighted population
 (population Monte Carlo: Cappe, Guillin, Marin and Robert 2004). It is frozen after burn-in, so that
-the kept draws come from reversible chains.
+the density is stationary under every step of the kept draws.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LogDensity = Callable[[FloatArray], FloatArray]
 # Degrees of freedom of the proposal's components: heavier tails than the posterior of any clip.
 STUDENT = 8.0
 # Factor by which the fitted scales are widened: a proposal that is too narrow would go unnoticed,
-# but in eleven dimensions one 10 % too wide already halves the acceptance rate.
+# but in nine dimensions one 10 % too wide already halves the acceptance rate.
 WIDENED = 1.04
 # Least log weight of a peak, below that of the first.
 LEAST_WEIGHT = 4.0

@@ -12,7 +12,6 @@ pipelines/ripples/presence.py.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft2
+from scipy.ndimage import maximum_filter
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -122,35 +122,15 @@ def _mean(values: FloatArray, count: FloatArray) -> FloatArray:
 
 def _highest_around(values: FloatArray) -> FloatArray:
     """Maximum over three by three cells; directions are periodic."""
-    wide = np.maximum(np.maximum(values, np.roll(values, 1, -1)), np.roll(values, -1, -1))
-    tall = wide.copy()
-    np.maximum(tall[..., 1:, :], wide[..., :-1, :], out=tall[..., 1:, :])
-    np.maximum(tall[..., :-1, :], wide[..., 1:, :], out=tall[..., :-1, :])
-    return tall
-
-
-@dataclass(frozen=True)
-class Cells:
-    """Cells of wave vectors of a transform of a given shape.
-
-    Attributes
-    ----------
-    number : ndarray of int
-        Cell of each bin of the transform, -1 for none.
-    count : ndarray (wavelengths, directions)
-        Number of bins of each cell.
-    around : ndarray (wavelengths, directions)
-        Number of bins of each cell and its neighbours, the latter at half weight.
-    """
-
-    number: NDArray[np.int32]
-    count: FloatArray
-    around: FloatArray
+    return np.asarray(maximum_filter(values, (1, 3, 3), mode=("nearest", "nearest", "wrap")))
 
 
 @lru_cache(maxsize=16)
-def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
-    """Sort the bins of a transform (of zero-padded size `full`) into cells."""
+def _cells(shape: tuple[int, int], full: tuple[int, int]) -> tuple[NDArray[np.int32], FloatArray]:
+    """Sort the bins of a transform (of zero-padded size `full`) into cells of wave vectors.
+
+    Returns each bin's cell, -1 for none, and the number of bins of each (wavelengths, directions).
+    """
     down, right = np.fft.fftfreq(full[0])[:, None], np.fft.rfftfreq(full[1])
     length = 1 / np.maximum(np.hypot(down, right), 1e-9)
     number = np.floor(np.log2(length / MIN_PIXELS) * OCTAVE + 0.5).astype(np.int64)
@@ -161,8 +141,7 @@ def _cells(shape: tuple[int, int], full: tuple[int, int]) -> Cells:
     used[full[0] // 2 + 1 :, 0] = False  # conjugates of the other half of this column
     cell = np.where(used, number * DIRECTIONS + direction, -1).astype(np.int32)
     counted = np.bincount(cell[used], minlength=lengths * DIRECTIONS)
-    count = counted.reshape(lengths, DIRECTIONS).astype(float)
-    return Cells(cell, count, _ladder(lengths, _SOFT) @ count @ _ring(_SOFT))
+    return cell, counted.reshape(lengths, DIRECTIONS).astype(float)
 
 
 def _transform(flat: FloatArray, valid: BoolArray, full: tuple[int, int]) -> NDArray[np.complex64]:
@@ -209,20 +188,19 @@ def _table(
     """
     shape = flat[parts[0]].shape[0], flat[parts[0]].shape[1]
     rows, columns = (next_fast_len(int(PADDING * n), True) for n in shape)
-    cells = _cells(shape, (rows, columns))
+    number, count = _cells(shape, (rows, columns))
     spectra = (_transform(flat[part], valid[part], (rows, columns)) for part in parts)
-    summed = [_cell_sums(v, cells.number, cells.count.size) for v in spectra]
+    summed = [_cell_sums(v, number, count.size) for v in spectra]
     power = [v[0] for v in summed]
-    shown = len(parts), *cells.count.shape
+    shown = len(parts), *count.shape
     total, highest = (np.reshape([v[k] for v in summed], shown) for k in (1, 2))
-    lengths = len(cells.count)
+    lengths = len(count)
     soft = _ladder(lengths, _SOFT)
-    count, around = cells.count, cells.around
     if known is not None:
         beside = _apart(count.shape, known)
         count, total, highest = (v * beside for v in (count, total, highest))
-        around = soft @ count @ _ring(_SOFT)
-        power = [v * beside.ravel()[cells.number].astype(np.float32) for v in power]
+        power = [v * beside.ravel()[number].astype(np.float32) for v in power]
+    around = soft @ count @ _ring(_SOFT)
     bins = around * (shape[0] * shape[1] / (rows * columns * INDEPENDENT))
     level = _mean(soft @ total @ _ring(_SOFT), around)
     aside = _mean(total @ _ring(_ASIDE), count @ _ring(_ASIDE))
