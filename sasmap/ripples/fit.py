@@ -274,10 +274,12 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
     Fit
     """
     weight = bin_weights(fit, whole, pixel_size)
+    # where the published model is asked for, it is taken at its word
+    share = np.ones_like(weight) if fit.geometry.published else fit.noise_factor * weight
     data = whole._replace(
         pixel_count=weight * whole.pixel_count,
         intensity_sum=weight * whole.intensity_sum,
-        speckle_share=fit.noise_factor * weight,
+        speckle_share=share,
     )
     fit = fit._replace(data=data)
     for _ in range(LINEARISED):
