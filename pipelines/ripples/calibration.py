@@ -148,7 +148,9 @@ def simulate(
         np.zeros(n, int),
         one[None],
         one,
-        one,
+        one[0],
+        1.0,
+        one[0],
         one,
     )
     pulses = np.empty((n, BINS))

@@ -13,6 +13,7 @@ from sasmap.ripples.rendered import Fit, expected_at, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
+    error_gain,
     fill_residuals,
     log_posterior,
     parameters_at,
@@ -44,6 +45,8 @@ HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
 # Step of the finite difference for the errors above, standard deviations; shares of the step to
 # the fitted heights that are tried in turn.
 ERROR_STEP, SHARES = 0.7, (1.0, 0.5, 0.25)
+# Least share of the mean intensity that is not noise floor, by which errors are scaled.
+LEAST_SIGNAL = 0.01
 # Step of the finite difference for parameters that are not sampled, in their sampling coordinates.
 PARAMETER_STEP = 0.1
 # Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
@@ -84,7 +87,7 @@ def _level(fit: Fit, held: slice) -> float:
     """Log posterior of a fit's peak and of some errors at what the geometry contains of them."""
     data, fitted = fit.data, fit.data.error_fitted
     others = np.delete(data.errors, held, axis=0)
-    left = _sharing(data, others, np.delete(fitted, held))
+    left = _sharing(data, others, np.delete(fitted, held), data.error_signal)
     return float(log_posterior(fit.z, left, fit.geometry) - 0.5 * fitted[held] @ fitted[held])
 
 
@@ -115,7 +118,10 @@ def with_errors(fit: Fit) -> Fit:
         angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
         errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
         fitted = np.append(fitted, [0.0, 0.0])
-    return fit._replace(data=_sharing(data, np.array(errors), fitted)) if errors else fit
+    if not errors:
+        return fit
+    signal = max(1.0 - parameters_at(fit.z, geometry).noise, LEAST_SIGNAL)
+    return fit._replace(data=_sharing(data, np.array(errors), fitted, signal))
 
 
 def with_fixed_parameters(fit: Fit) -> Histogram:
@@ -137,15 +143,24 @@ def with_fixed_parameters(fit: Fit) -> Histogram:
         lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
         shapes.append((higher - lower)[None] / (2 * PARAMETER_STEP))
     fitted = np.concatenate([fit.data.error_fitted, fit.z[free]])
-    return _sharing(fit.data, np.concatenate(shapes), fitted)
+    return _sharing(fit.data, np.concatenate(shapes), fitted, fit.data.error_signal)
 
 
-def _sharing(data: Histogram, errors: FloatArray, fitted: FloatArray) -> Histogram:
-    """Return a histogram with these errors (errors, blocks, bins), one standard deviation each."""
+def _sharing(data: Histogram, errors: FloatArray, fitted: FloatArray, signal: float) -> Histogram:
+    """Return a histogram with these errors (errors, blocks, bins), one standard deviation each.
+
+    `signal` is the share of the mean intensity that was not noise floor where they were computed.
+    """
     flat = errors.reshape(len(errors), -1)
     information = (flat * data.pixel_count.ravel()) @ flat.T
-    gain = np.asarray(np.linalg.inv(information + np.eye(len(errors))), np.float64)
-    return data._replace(errors=errors, error_gain=gain, error_fitted=fitted)
+    size, axes = np.linalg.eigh(information)
+    return data._replace(
+        errors=errors,
+        error_axes=np.ascontiguousarray(axes),
+        error_information=np.maximum(size, 0.0),
+        error_signal=signal,
+        error_fitted=fitted,
+    )
 
 
 def _beside(geometry: Geometry) -> list[tuple[Geometry, Geometry]]:
@@ -178,7 +193,7 @@ def _fitted(fit: Fit, means: FloatArray) -> FloatArray:
     residuals = np.empty(means.shape)
     fill_residuals(means, fit.data, residuals, np.empty(means.shape))
     errors = fit.data.errors.reshape(len(fit.data.errors), -1)
-    return np.asarray(fit.data.error_gain @ (errors @ residuals.ravel() - fit.data.error_fitted))
+    return np.asarray(error_gain(fit.data) @ (errors @ residuals.ravel() - fit.data.error_fitted))
 
 
 def turned_by_errors(fit: Fit) -> float:
@@ -205,7 +220,9 @@ def turned_by_errors(fit: Fit) -> float:
         lags = [pulses_at(fit._replace(geometry=g), fit.z)[1] for g in pair]
         turned.append(_turn(*lags) / (2 * ERROR_STEP))
     slopes = np.array([line_of_lags(turn, data)[0] for turn in turned])
-    left = data.error_gain[: slopes.size, : slopes.size] if fit.phase.rigid else np.eye(slopes.size)
+    left = (
+        error_gain(data)[: slopes.size, : slopes.size] if fit.phase.rigid else np.eye(slopes.size)
+    )
     return float(np.sqrt(slopes @ left @ slopes)) / (2 * np.pi)
 
 

@@ -121,5 +121,7 @@ def _as_histogram(sums: FloatArray, blocks: FloatArray, length: float) -> Histog
         np.zeros((0, *sums.shape[:2])),
         np.zeros((0, 0)),
         np.zeros(0),
+        1.0,
+        np.zeros(0),
         np.ones(sums.shape[:2]),
     )

@@ -12,6 +12,7 @@ from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
     contrast_per_slope,
+    error_gain,
     fill_residuals,
     fill_slopes,
     log_posterior,
@@ -292,7 +293,7 @@ def _slope(
     information = (slopes * count) @ slopes.T
     if len(data.errors):
         errors = data.errors.reshape(len(data.errors), -1)
-        shared = (slopes * count) @ errors.T @ data.error_gain
+        shared = (slopes * count) @ errors.T @ error_gain(data)
         gradient -= shared @ (errors @ residual.ravel() - data.error_fitted)
         information -= shared @ ((errors * count) @ slopes.T)
     return gradient, information + np.diag(curvature + 1e-6)

@@ -132,8 +132,12 @@ class Histogram(NamedTuple):
         Consecutive blocks that share a gain, numbered from 0.
     errors : ndarray (errors, blocks, bins)
         Possible errors of the log of the expected intensity, one standard deviation each.
-    error_gain : ndarray (errors, errors)
-        Inverse of the sum of their information and prior precision.
+    error_axes : ndarray (errors, errors)
+        Columns are the directions in which the errors' information is diagonal.
+    error_information : ndarray (errors,)
+        Along each of these, without the prior's.
+    error_signal : float
+        Share of the mean intensity that was not noise floor where the errors were computed.
     error_fitted : ndarray (errors,)
         Amplitude of each that the geometry already contains, standard deviations.
     speckle_share : ndarray (blocks, bins)
@@ -150,7 +154,9 @@ class Histogram(NamedTuple):
     trend: FloatArray
     group: NDArray[np.int64]
     errors: FloatArray
-    error_gain: FloatArray
+    error_axes: FloatArray
+    error_information: FloatArray
+    error_signal: float
     error_fitted: FloatArray
     speckle_share: FloatArray
 
@@ -744,8 +750,11 @@ def log_posterior(z, data, geometry):  # type: ignore[no-untyped-def]
     value += fill_residuals(means, data, residuals, np.empty(means.shape))
     if data.errors.shape[0] > 0:
         shapes = data.errors.reshape(data.errors.shape[0], means.size)
-        pull = np.dot(shapes, residuals.ravel()) - data.error_fitted
-        value += 0.5 * np.dot(pull, np.dot(data.error_gain, pull))
+        # errors change the echo: of a model that is mostly noise floor they can explain little
+        signal = min(max(1.0 - ripple.noise, 0.0) / data.error_signal, 1.0)
+        pull = signal * np.dot(shapes, residuals.ravel()) - data.error_fitted
+        along = np.dot(data.error_axes.T, pull)
+        value += 0.5 * np.sum(along**2 / (1.0 + signal**2 * data.error_information))
         value -= 0.5 * np.dot(data.error_fitted, data.error_fitted)
     return value
 
@@ -840,6 +849,11 @@ def fill_slopes(z, free, size, data, geometry, means, slopes, prior):  # type: i
                 small = abs(change) < SMALL
                 log = change - 0.5 * change * change if small else np.log1p(change)
                 slopes[k, b * means.shape[1] + j] = log / step
+
+
+def error_gain(data: Histogram) -> FloatArray:
+    """Inverse of the errors' information and prior precision together, (errors, errors)."""
+    return np.asarray(data.error_axes / (1.0 + data.error_information) @ data.error_axes.T)
 
 
 def pulses_of(

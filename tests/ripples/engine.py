@@ -74,6 +74,8 @@ def empty(ground_range, altitude, bins=64, count=400.0, group=None, offset=0.0):
         np.zeros((0, *shape)),
         np.zeros((0, 0)),
         np.zeros(0),
+        1.0,
+        np.zeros(0),
         np.ones(shape),
     )
 

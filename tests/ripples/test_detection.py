@@ -75,6 +75,8 @@ def test_what_is_found_is_estimated():
     assert posterior.probability > 0.9
     assert posterior.sampled
     assert abs(float(posterior.mean.frequency) / (8 / (300 * 0.05)) - 1) < 0.05
+    # errors of the model never explained the pulse of a floor that is all noise
+    assert float(posterior.mean.noise) < 0.1
     assert (posterior.rippled > 0.5).mean() > 0.9
 
 

@@ -17,7 +17,7 @@ from sasmap.ripples.errors import (
 )
 from sasmap.ripples.optimise import BLUR, HEIGHT, NOISE_SLOPE, fisher_scoring, line_of_lags, search
 from sasmap.ripples.rendered import Fit, expected_at, pulses_of
-from sasmap.ripples.rendering import log_posterior, parameters_at
+from sasmap.ripples.rendering import error_gain, log_posterior, parameters_at
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
 
 BINS, PIXEL = 48, 0.03
@@ -187,7 +187,7 @@ def test_errors_that_the_geometry_contains_are_not_forgiven_twice():
     seen = exact.data.pixel_count * expected_at(exact._replace(geometry=true), exact.z)[0]
     level = exact._replace(geometry=true, data=exact.data._replace(intensity_sum=seen))
     paid = with_errors(level)
-    fitted, gain = paid.data.error_fitted, paid.data.error_gain
+    fitted, gain = paid.data.error_fitted, error_gain(paid.data)
     assert np.linalg.norm(fitted) == pytest.approx(0.1 / errors.HEIGHT_TREND[0])
     without, with_prior = (log_posterior(f.z, f.data, true) for f in (level, paid))
     prior = 0.5 * (fitted @ gain @ fitted - fitted @ fitted)

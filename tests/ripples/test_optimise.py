@@ -175,10 +175,15 @@ def test_gradient_with_errors_of_the_model():
     angle = 2 * np.pi * (np.arange(48) + 0.5) / 48
     errors = 0.05 * np.stack([np.broadcast_to(f(2 * angle), (12, 48)) for f in (np.cos, np.sin)])
     flat = errors.reshape(2, -1)
-    gain = np.linalg.inv((flat * data.pixel_count.ravel()) @ flat.T + np.eye(2))
+    size, axes = np.linalg.eigh((flat * data.pixel_count.ravel()) @ flat.T)
     z = point_at(truth, where) + 0.05
     free = free_coordinates(where)
-    given = {"errors": errors.copy(), "error_gain": gain, "error_fitted": np.array([0.4, -0.2])}
+    given = {
+        "errors": errors.copy(),
+        "error_axes": axes,
+        "error_information": size,
+        "error_fitted": np.array([0.4, -0.2]),
+    }
     wide = data._replace(**given)
     plain, with_errors = (_slope(z, d, where, free) for d in (data, wide))
     # a misfit of that shape is forgiven
