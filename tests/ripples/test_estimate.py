@@ -112,7 +112,9 @@ def test_what_the_altitude_may_be_is_what_height_by_shadow_may_be():
     sure, unsure = (
         estimate(altered(made.clip, altitude_sd=sd), LAMBERT, rng=1) for sd in (0.02, 0.8)
     )
-    assert float(unsure.sd.height) > 1.5 * float(sure.sd.height)
+    added = np.sqrt(float(unsure.sd.height) ** 2 - float(sure.sd.height) ** 2)
+    relative = added / float(unsure.mean.height)
+    assert relative == pytest.approx(float(unsure.sd.altitude_scale), rel=0.35)
     assert float(unsure.sd.altitude_scale) > 3 * float(sure.sd.altitude_scale)
 
 
