@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 # of a cell (a group of range and one of ERROR_CELLS parts of phase), with straight crests and where
 # a phase field is followed; displacement of the pulse that all groups share, in pixels, and in
 # cycles where a field is followed (pipelines/ripples/coherent.py).
-MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.02, 0.04, 0.15, 0.02, 16
+MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.025, 0.04, 0.15, 0.02, 16
 # Error of the expected intensity over the clip's mean, with straight crests and where a field is
 # followed: side lobes, and lit sea floor at forks and defects where the model has shadow.
 DARK_ERROR = (0.002, 0.01)
