@@ -160,12 +160,12 @@ def check_fits(plan: Plan, workers: int | None) -> None:
     cost = cost_of(plan, workers)
     folder = plan.settings.output_folder
     faults = []
-    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    above = _existing(folder)
     if not above.is_dir():
         faults.append(f"{folder}: output folder cannot be made: {above} is a file")
     elif not os.access(above, os.W_OK | os.X_OK):
         faults.append(f"{folder}: output folder cannot be written to")
-    free = shutil.disk_usage(_existing(folder)).free
+    free = shutil.disk_usage(above).free
     if cost.disk > free:
         faults.append(
             f"{folder}: the run needs about {size(cost.disk)} of disk, {size(free)} are free"
@@ -181,9 +181,9 @@ def check_fits(plan: Plan, workers: int | None) -> None:
 
 
 def _existing(folder: Path) -> Path:
-    """Nearest existing parent folder."""
+    """Folder itself, or the nearest of its parents that exists."""
     folder = folder.absolute()
-    while not folder.is_dir():
+    while not folder.exists():
         folder = folder.parent
     return folder
 

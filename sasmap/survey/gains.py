@@ -70,13 +70,15 @@ def _compare(pair: tuple[Tile, Tile]) -> str | None:
     """Describe how a tile's place or gain differs from another's, if it does."""
     first, second = pair
     try:
-        if away := _away(first, second):
+        box = _box(first, second, 0).intersect(first.window)
+        shown = [_both(first, second, part) for part in _pieces(box)]
+        if away := _away(shown, first.pixel_size):
             return (
                 f"{second.path}: shows the same sea floor {away:.2g} m from where "
                 f"{first.path.name} shows it: f and A_H are wrong where they overlap; check the "
                 "origins of the tiles"
             )
-        difference, limit, where = _overlapping(first, second) or _meeting(first, second)
+        difference, limit, where = _overlapping(shown) or _meeting(first, second)
     except OSError:
         return None  # an undecodable block fails its cells, not the survey
     if not abs(difference) > limit:
@@ -89,19 +91,26 @@ def _compare(pair: tuple[Tile, Tile]) -> str | None:
     )
 
 
-def _away(first: Tile, second: Tile) -> float:
+def _both(first: Tile, second: Tile, part: Window) -> tuple[Amplitude, Amplitude]:
+    """Read what two tiles show in a window of the first."""
+    a, b = (read_mosaic((tile,), first.lattice, part) for tile in (first, second))
+    return a, b
+
+
+def _away(shown: list[tuple[Amplitude, Amplitude]], pixel_size: float) -> float:
     """Distance, m, between the places where two tiles show the same floor; 0 where they agree."""
-    for part in _pieces(_box(first, second, 0).intersect(first.window)):
-        moved = offset_between(*(read_mosaic((t,), first.lattice, part) for t in (first, second)))
+    for a, b in shown:
+        moved = offset_between(a, b)
         if moved is not None:
-            return float(np.hypot(*moved)) * first.pixel_size
+            return float(np.hypot(*moved)) * pixel_size
     return 0.0
 
 
-def _overlapping(first: Tile, second: Tile) -> tuple[float, float, str] | None:
+def _overlapping(
+    shown: list[tuple[Amplitude, Amplitude]],
+) -> tuple[float, float, str] | None:
     """Difference over the pixels that both show, and its limit."""
-    for part in _pieces(_box(first, second, 0).intersect(first.window)):
-        a, b = (read_mosaic((tile,), first.lattice, part) for tile in (first, second))
+    for a, b in shown:
         both = np.isfinite(a) & np.isfinite(b)
         if both.sum() >= LEAST:
             return _difference(a[both], b[both], OVERLAP_DB, "overlap")
