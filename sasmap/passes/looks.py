@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.passes.information import Information, widened
+from sasmap.passes.information import Information
 from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
@@ -32,13 +32,13 @@ FloatArray = NDArray[np.float64]
 # Sampling prior of the law: mean and variance of n and c.
 LAW_MEAN = np.array([EXPONENT[0], CONCENTRATION[0]])
 LAW_VARIANCE = np.array([EXPONENT[1], CONCENTRATION[1]]) ** 2
-# Least share of the variance of log contrast that remains when altitude is known (a choice: it
+# Least share of a variance that remains when the error that looks share is removed (a choice: it
 # keeps the variance positive).
 REMAINING = 0.1
-# Bias of n and c from the echo shape where the law is outside the family, standard deviations for
-# the survey and again for each look: a law with a critical angle biases n by -0.7. Error of log
-# contrast from the law's change with angle (both from pipelines/ripples/surveys.py).
-SHIFT_SD, LOCAL_LAW = np.array([0.8, 0.5]), 0.05
+# Bias of n and c from the echo shape where the law is outside the family, standard deviations: n is
+# biased by 0.1, 0.4, 0.1, -0.6 and 0.3 in five surveys (pipelines/ripples/surveys.py). It is part
+# of a look's own error: at most this share of the variance (0.4 to 0.6 do equally well there).
+SHIFT_SD, MOST_SHARED = np.array([0.4, 0.25]), 0.5
 # Regression of log contrast on the law: below the first value the echo shape determines the law,
 # above the second geometry does. Looks without shadow have 0.05 to 0.5, those with shadow 0.8 to
 # 1.1 (pipelines/ripples/surveys.py).
@@ -89,7 +89,8 @@ class LawLikelihood(NamedTuple):
     level, linear, precision : ndarray (N, K), (N, K, 2), (N, K, 2, 2)
         As in :class:`Information`, over n and c.
     by_shape : ndarray (N,)
-        1 where the echo shape determines the law, 0 where geometry determines A_H and so the law.
+        Share of the survey's bias that the look has: 1 where the echo shape determines the law, 0
+        where geometry determines A_H and so the law.
     """
 
     level: FloatArray
@@ -182,13 +183,14 @@ def collect(
     _turn_to_one_axis(cell, weight, mean)
     told = [(s.tangent, s.altitude, s.altitude_gain, s.altitude_sd) for _, _, s, _ in good]
     tangent, altitude, gain, sd = np.array(told, float).T
-    covariance = _altitude_told(covariance, gain * sd / altitude)
-    factor = _likelihood(weight, mean, covariance, tangent)
-    law = None
+    covariance = _without(covariance, LOG_HEIGHT, gain * sd / altitude)
+    by_shape = np.zeros(n)
     if size == 5:
         by_shape = _by_shape(weight, mean, covariance, tangent)
-        law = _law_likelihood(factor, by_shape)
-        factor, law = _inflated(factor, law)
+        for place, error in zip(range(LAW.start, LAW.stop), SHIFT_SD, strict=True):
+            covariance = _without(covariance, place, error * by_shape)
+    factor = _likelihood(weight, mean, covariance, tangent)
+    law = _law_likelihood(factor, by_shape) if size == 5 else None
     return Looks(
         cell,
         swath,
@@ -211,13 +213,13 @@ def _turn_to_one_axis(cell: NDArray[np.int64], weight: FloatArray, mean: FloatAr
     mean[:, :, AZIMUTH] -= 180 * np.rint(offset / 180)
 
 
-def _altitude_told(covariance: FloatArray, sd: FloatArray) -> FloatArray:
-    """Remove the altitude error that a swath's looks share from the error of log contrast."""
-    variance = covariance[:, :, LOG_HEIGHT, LOG_HEIGHT]
+def _without(covariance: FloatArray, place: int, sd: FloatArray) -> FloatArray:
+    """Remove from one coordinate's variance an error (n,) that the looks share."""
+    variance = covariance[:, :, place, place]
     left = np.maximum(variance - sd[:, None] ** 2, REMAINING * variance)
     # covariances are scaled as well, so that the matrix stays positive definite
     scale = np.ones(covariance.shape[:3])
-    scale[:, :, LOG_HEIGHT] = np.sqrt(left / variance)
+    scale[:, :, place] = np.sqrt(left / variance)
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
 
 
@@ -307,28 +309,14 @@ def _law_likelihood(factor: Information, by_shape: FloatArray) -> LawLikelihood:
     return LawLikelihood(level, linear, precision, by_shape)
 
 
-def _inflated(factor: Information, law: LawLikelihood) -> tuple[Information, LawLikelihood]:
-    """Inflate the errors of the law from the echo shape, and slightly those of contrast."""
-    sd = np.maximum(law.by_shape[:, None] * SHIFT_SD, NONE)
-    blurred = widened(Information(*law[:3]), sd[:, None, :])
-    told = LawLikelihood(*blurred, law.by_shape)
-    linear, precision = factor.linear.copy(), factor.precision.copy()
-    linear[..., LAW] += told.linear - law.linear
-    precision[..., LAW, LAW] += told.precision - law.precision
-    some = np.isfinite(law.level)  # not the padding
-    level = factor.level + np.subtract(told.level, law.level, where=some, out=np.zeros(some.shape))
-    error = np.full((len(sd), 1, 5), NONE)
-    error[..., LOG_HEIGHT] = np.maximum(LOCAL_LAW * law.by_shape[:, None], NONE)
-    return widened(Information(level, linear, precision), error), told
-
-
 def _by_shape(
     weight: FloatArray, mean: FloatArray, covariance: FloatArray, tangent: FloatArray
 ) -> FloatArray:
-    """Find the looks (N,) whose information on the law is from the echo shape alone.
+    """Share (N,) of the survey's bias of the law from the echo shape that each look has.
 
     Where geometry determines A_H, contrast varies with the law as contrast per slope does;
-    elsewhere contrast is known and does not depend on the law.
+    elsewhere contrast is known and does not depend on the law. The bias is at most a part of the
+    look's own error.
     """
     centre = np.einsum("nk,nki->ni", weight, mean)
     apart = mean - centre[:, None]
@@ -340,7 +328,9 @@ def _by_shape(
     follows = -np.linalg.solve(precision[:, rest, rest], precision[:, rest, LAW])[:, LOG_HEIGHT]
     slopes = contrast_slopes(centre[:, LAW], tangent)
     share = (follows * slopes).sum(axis=-1) / (slopes**2).sum(axis=-1)
-    return np.asarray(1 - np.clip((share - LEAST_KNOWN) / (MOST_KNOWN - LEAST_KNOWN), 0, 1))
+    by_shape = 1 - np.clip((share - LEAST_KNOWN) / (MOST_KNOWN - LEAST_KNOWN), 0, 1)
+    most = np.sqrt(MOST_SHARED * np.diagonal(whole, axis1=1, axis2=2)[:, LAW]) / SHIFT_SD
+    return np.asarray(np.minimum(by_shape, most.min(axis=1)))
 
 
 def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:

@@ -53,11 +53,11 @@ def seen(rng, f, height, law, grazing, with_shadow, altitude_error=0.0, shape=No
     if with_shadow:  # a measurement of log A_H, linear about the true law
         measured = np.log(height) + altitude_error + rng.normal(0, 0.03)
         mean, covariance = told(mean, covariance, tangent, law, measured, 0.03)
-    elif shape is not None:  # n by the pulse's shape, wrong by so much
+    elif shape is not None:  # n by the shape of the pulse, to 0.8, and wrong by so much
         precision = np.linalg.inv(covariance)
         push = precision @ mean
-        precision[3, 3] += 0.5**-2
-        push[3] += (law[0] + shape + rng.normal(0, 0.5)) * 0.5**-2
+        precision[3, 3] += 0.8**-2
+        push[3] += (law[0] + shape + rng.normal(0, 0.8)) * 0.8**-2
         covariance = np.linalg.inv(precision)
         mean = covariance @ push
     # the prior of natural steepness, linear about the law that comes out
@@ -182,10 +182,22 @@ def test_what_the_pulses_shape_tells_wrong_of_the_law_does_not_spoil_heights():
 
 
 def test_without_shadow_shape_does_not_fix_the_law():
-    cells, truth = survey(9, 120, 0, law=(2.4, 0.1), shape=-0.9)
+    cells, truth = survey(9, 120, 0, law=(2.4, 0.1), shape=-0.6)
     low, _, high, _ = heights(cells, learn_survey(cells, SETTINGS, 1))
     assert ((low < truth) & (truth < high)).mean() >= 0.8
     assert np.median((high - low) / truth) > 0.6
+
+
+def test_a_survey_of_one_look_is_hardly_wider_than_the_look():
+    # the bias of the echo shape is part of the look's own error of the law
+    for shape in (0.0, None):
+        law = np.array([2.2, 0.1])
+        look = seen(np.random.default_rng(3), 0.8, 0.05, law, 20, shape is None, shape=shape)
+        mean, covariance = (value[0] for value in look.density[1:])
+        row = np.array([0, 1, 0, *-contrast_slopes(mean[3:], look.tangent)])
+        estimate = fuse_cells([[look]], SETTINGS)[0].final
+        sd = np.sqrt(row @ covariance @ row)
+        assert 0.9 * sd < estimate.sd[1] / estimate.mean[1] < 1.3 * sd
 
 
 def test_two_sediments_of_unlike_laws_widen_the_spread():
@@ -314,7 +326,7 @@ def test_a_look_is_compared_with_all_others_together():
     )
     model = SurveyModel((known,), True)
     honest = [[seen(rng, 0.8, 0.05, law, 15, False) for _ in range(4)] for _ in range(40)]
-    false = [[seen(rng, 0.8, 0.065, law, 15, False), *looks[1:]] for looks in honest]
+    false = [[seen(rng, 0.8, 0.057, law, 15, False), *looks[1:]] for looks in honest]
     for cells, lost in ((honest, 0.05), (false, 0.5)):
         looks = collect(cells)
         pairs = agreeing_pairs(looks, model, len(cells))
