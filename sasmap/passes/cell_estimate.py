@@ -44,7 +44,11 @@ FLAT = CellEstimate(sd=(float("inf"),) * 2, azimuth=(NAN, float("inf")))
 
 
 def estimates(
-    weight: FloatArray, mean: FloatArray, covariance: FloatArray, settings: RippleSettings
+    weight: FloatArray,
+    mean: FloatArray,
+    covariance: FloatArray,
+    settings: RippleSettings,
+    reach: FloatArray | None = None,
 ) -> list[CellEstimate]:
     """Summarise mixtures over log f, log A_H and azimuth.
 
@@ -54,6 +58,8 @@ def estimates(
     mean : ndarray (cells, K, 3)
     covariance : ndarray (cells, K, 3, 3)
     settings : RippleSettings
+    reach : ndarray (cells, 2), optional
+        Least and largest A_H (m) of each cell, within the bounds of the settings.
 
     Returns
     -------
@@ -61,15 +67,17 @@ def estimates(
     """
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
-        bounds = np.log([settings.frequency, settings.height])
+        f_bounds, bounds = np.log(settings.frequency), np.log(settings.height)[:, None]
+        if reach is not None:
+            bounds = np.clip(np.log(reach).T, *bounds)
     # f is far better known than A_H, so the bounds of A_H at the cell's f bound the steepness
-    steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds[1][:, None]
+    steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]
     logs = [
-        (mean[..., 0], variance[..., 0], bounds[0]),
-        (mean[..., 1], variance[..., 1], bounds[1]),
+        (mean[..., 0], variance[..., 0], f_bounds),
+        (mean[..., 1], variance[..., 1], bounds),
         (np.log(2) + mean[..., 0] + mean[..., 1], ratio, steep),
-        (-mean[..., 0], variance[..., 0], -bounds[0][::-1]),
+        (-mean[..., 0], variance[..., 0], -f_bounds[::-1]),
     ]
     found = [marginals(weight, m, np.sqrt(np.maximum(v, 1e-20)), b) for m, v, b in logs]
     turn = weighted(weight, mean[..., 2])

@@ -95,6 +95,23 @@ def after_each(looks: Looks, survey: SurveyModel) -> tuple[FloatArray, FloatArra
     return weight, mean[:, :last], covariance[:, :last]
 
 
+def reach_after_each(looks: Looks) -> FloatArray:
+    """Least and largest A_H (N, 2) that each look and the earlier ones of its cell allow, m.
+
+    Parameters
+    ----------
+    looks : Looks
+        As for :func:`after_each`.
+    """
+    reach = looks.reach.copy()
+    for r in range(1, len(reach)):
+        if looks.cell[r] == looks.cell[r - 1]:
+            low, high = max(reach[r, 0], reach[r - 1, 0]), min(reach[r, 1], reach[r - 1, 1])
+            # looks that allow nothing in common are only told apart by their likelihoods
+            reach[r] = (low, high) if low < high else reach[r - 1]
+    return reach
+
+
 def _arrays(survey: SurveyModel, with_law: bool) -> _Draws:
     """Collect the draws of a survey's shared parameters as arrays."""
     every = [[p.shared for p in draw] for draw in survey.draws]

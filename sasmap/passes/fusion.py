@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sasmap.passes.agreement import agreeing, distances_of, together
 from sasmap.passes.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
-from sasmap.passes.combination import after_each
+from sasmap.passes.combination import after_each, reach_after_each
 from sasmap.passes.looks import Looks, collect
 from sasmap.passes.registration import Moves, left_over, registration
 from sasmap.passes.shared import LEAST_LOOKS, MOST_SEDIMENTS, SurveyModel, learn, numbered
@@ -317,7 +317,7 @@ def _products(
     some = looks.some(order[used[order]])
     result: dict[int, dict[int, CellEstimate]] = {}
     if some.cell.size:
-        found = estimates(*after_each(some, survey), settings)
+        found = estimates(*after_each(some, survey), settings, reach_after_each(some))
         for i, k, estimate in zip(some.cell, some.swath, found, strict=True):
             result.setdefault(int(i), {})[int(k)] = estimate
     return result

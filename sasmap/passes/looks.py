@@ -32,9 +32,9 @@ FloatArray = NDArray[np.float64]
 # Sampling prior of the law: mean and variance of n and c.
 LAW_MEAN = np.array([EXPONENT[0], CONCENTRATION[0]])
 LAW_VARIANCE = np.array([EXPONENT[1], CONCENTRATION[1]]) ** 2
-# Least share of a variance that remains when the error that looks share is removed (a choice: it
+# Largest share of the variance of log contrast that is removed as the altitude's (a choice: it
 # keeps the variance positive).
-REMAINING = 0.1
+MOST_OF_ALTITUDE = 0.9
 # Bias of n and c from the echo shape where the law is outside the family, standard deviations: n is
 # biased by 0.1, 0.4, 0.1, -0.6 and 0.3 in five surveys (pipelines/ripples/surveys.py). It is part
 # of a look's own error: at most this share of the variance (0.4 to 0.6 do equally well there).
@@ -110,6 +110,8 @@ class Looks(NamedTuple):
     factor : Information (N, K)
         Likelihood over log f, log contrast, azimuth (degrees), n and c; where the law is fixed,
         over log f, log A_H and azimuth.
+    reach : ndarray (N, 2)
+        Least and largest A_H, m.
     law : LawLikelihood or None
         None where the law is fixed.
     tangent, altitude : ndarray (N,)
@@ -124,6 +126,7 @@ class Looks(NamedTuple):
     swath: NDArray[np.int64]
     sediment: NDArray[np.int64]
     factor: Information
+    reach: FloatArray
     law: LawLikelihood | None
     tangent: FloatArray
     altitude: FloatArray
@@ -183,12 +186,13 @@ def collect(
     _turn_to_one_axis(cell, weight, mean)
     told = [(s.tangent, s.altitude, s.altitude_gain, s.altitude_sd) for _, _, s, _ in good]
     tangent, altitude, gain, sd = np.array(told, float).T
-    covariance = _without(covariance, LOG_HEIGHT, gain * sd / altitude)
+    raised = (gain * sd / altitude)[:, None] ** 2 / covariance[:, :, LOG_HEIGHT, LOG_HEIGHT]
+    covariance = _without(covariance, LOG_HEIGHT, np.minimum(raised, MOST_OF_ALTITUDE))
     by_shape = np.zeros(n)
     if size == 5:
-        by_shape = _by_shape(weight, mean, covariance, tangent)
-        for place, error in zip(range(LAW.start, LAW.stop), SHIFT_SD, strict=True):
-            covariance = _without(covariance, place, error * by_shape)
+        by_shape, share = _by_shape(weight, mean, covariance, tangent)
+        for i, place in enumerate(range(LAW.start, LAW.stop)):
+            covariance = _without(covariance, place, share[:, i, None])
     factor = _likelihood(weight, mean, covariance, tangent)
     law = _law_likelihood(factor, by_shape) if size == 5 else None
     return Looks(
@@ -196,6 +200,7 @@ def collect(
         swath,
         np.zeros(n, np.int64) if sediments is None else sediments[cell],
         factor,
+        np.array([s.reach for _, _, s, _ in good]),
         law,
         tangent,
         altitude,
@@ -213,13 +218,11 @@ def _turn_to_one_axis(cell: NDArray[np.int64], weight: FloatArray, mean: FloatAr
     mean[:, :, AZIMUTH] -= 180 * np.rint(offset / 180)
 
 
-def _without(covariance: FloatArray, place: int, sd: FloatArray) -> FloatArray:
-    """Remove from one coordinate's variance an error (n,) that the looks share."""
-    variance = covariance[:, :, place, place]
-    left = np.maximum(variance - sd[:, None] ** 2, REMAINING * variance)
+def _without(covariance: FloatArray, place: int, share: FloatArray) -> FloatArray:
+    """Remove from a coordinate's variance the share (n, K or 1) of an error that looks share."""
     # covariances are scaled as well, so that the matrix stays positive definite
     scale = np.ones(covariance.shape[:3])
-    scale[:, :, place] = np.sqrt(left / variance)
+    scale[:, :, place] = np.sqrt(1 - share)
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
 
 
@@ -311,12 +314,12 @@ def _law_likelihood(factor: Information, by_shape: FloatArray) -> LawLikelihood:
 
 def _by_shape(
     weight: FloatArray, mean: FloatArray, covariance: FloatArray, tangent: FloatArray
-) -> FloatArray:
-    """Share (N,) of the survey's bias of the law from the echo shape that each look has.
+) -> tuple[FloatArray, FloatArray]:
+    """Share (N,) that looks have of the survey's bias of the law, and its share of their variance.
 
-    Where geometry determines A_H, contrast varies with the law as contrast per slope does;
-    elsewhere contrast is known and does not depend on the law. The bias is at most a part of the
-    look's own error.
+    The latter is (N, 2), of n and of c. Where geometry determines A_H, contrast varies with the law
+    as contrast per slope does; elsewhere contrast is known and does not depend on the law. The bias
+    is at most a part of the look's own error.
     """
     centre = np.einsum("nk,nki->ni", weight, mean)
     apart = mean - centre[:, None]
@@ -329,8 +332,12 @@ def _by_shape(
     slopes = contrast_slopes(centre[:, LAW], tangent)
     share = (follows * slopes).sum(axis=-1) / (slopes**2).sum(axis=-1)
     by_shape = 1 - np.clip((share - LEAST_KNOWN) / (MOST_KNOWN - LEAST_KNOWN), 0, 1)
-    most = np.sqrt(MOST_SHARED * np.diagonal(whole, axis1=1, axis2=2)[:, LAW]) / SHIFT_SD
-    return np.asarray(np.minimum(by_shape, most.min(axis=1)))
+    variance = np.diagonal(whole, axis1=1, axis2=2)[:, LAW]
+    told = np.maximum(1 / variance - 1 / LAW_VARIANCE, NONE)  # without the prior
+    most = np.sqrt(MOST_SHARED / told) / SHIFT_SD
+    by_shape = np.minimum(by_shape, most.min(axis=1))
+    left = 1 / told - (by_shape[:, None] * SHIFT_SD) ** 2
+    return by_shape, np.maximum(1 - 1 / (1 / left + 1 / LAW_VARIANCE) / variance, 0.0)
 
 
 def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:

@@ -48,6 +48,9 @@ class Summary:
         Gaussian mixture over log f, log contrast, azimuth in degrees, and exponent and
         concentration of the law; over log f, log A_H and azimuth where the law is fixed. For each
         component its weight, mean, and covariance by rows. Empty without ripples.
+    reach : tuple of float
+        Least and largest A_H (m) of the draws, where the mixture ends: the absence of shadow bounds
+        A_H sharply, which Gaussians do not.
     probability : float
         Probability that the cell is rippled.
     coherence_length : float
@@ -90,6 +93,7 @@ class Summary:
     azimuth: tuple[float, float] = (NAN, NAN)
     derived: Derived = UNKNOWN
     mixture: tuple[Numbers, ...] = ()
+    reach: tuple[float, float] = (0.0, float("inf"))
     probability: float = NAN
     coherence_length: float = NAN
     rippled_fraction: float = NAN
@@ -160,6 +164,7 @@ def summarise(posterior: Posterior) -> Summary:
         acceptance=posterior.acceptance,
         azimuth=posterior.azimuth,
         mixture=_mixture(posterior),
+        reach=_pair((draws[1].min(), draws[1].max())),
         derived=derived_of_draws(*draws),
         probability=posterior.probability,
         **_second(posterior),

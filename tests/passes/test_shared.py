@@ -159,8 +159,7 @@ def test_shadow_in_some_cells_tells_the_height_of_the_others():
     assert np.median(np.abs(mean / truth - 1)[20:]) < 0.1
     alone, _, wide, _ = heights(cells[20:], learn_survey(cells[20:], SETTINGS, 1))
     assert np.median((wide - alone) / (high - low)[20:]) > 4  # nothing breaks the tie
-    quantiles = model.quantiles()
-    assert quantiles["law"][0][0] < 2.2 < quantiles["law"][2][0]
+    assert abs(model.middle.law[0] - 2.2) < 0.4
 
 
 def test_a_law_that_changes_from_cell_to_cell_is_not_taken_for_one():
@@ -188,16 +187,32 @@ def test_without_shadow_shape_does_not_fix_the_law():
     assert np.median((high - low) / truth) > 0.6
 
 
-def test_a_survey_of_one_look_is_hardly_wider_than_the_look():
+@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("shape", [0.0, None])
+def test_a_survey_of_one_look_is_hardly_wider_than_the_look(seed, shape):
     # the bias of the echo shape is part of the look's own error of the law
-    for shape in (0.0, None):
-        law = np.array([2.2, 0.1])
-        look = seen(np.random.default_rng(3), 0.8, 0.05, law, 20, shape is None, shape=shape)
-        mean, covariance = (value[0] for value in look.density[1:])
-        row = np.array([0, 1, 0, *-contrast_slopes(mean[3:], look.tangent)])
-        estimate = fuse_cells([[look]], SETTINGS)[0].final
-        sd = np.sqrt(row @ covariance @ row)
-        assert 0.9 * sd < estimate.sd[1] / estimate.mean[1] < 1.3 * sd
+    law = np.array([2.2, 0.1])
+    look = seen(np.random.default_rng(seed), 0.8, 0.05, law, 20, shape is None, shape=shape)
+    mean, covariance = (value[0] for value in look.density[1:])
+    row = np.array([0, 1, 0, *-contrast_slopes(mean[3:], look.tangent)])
+    estimate = fuse_cells([[look]], SETTINGS)[0].final
+    sd = np.sqrt(row @ covariance @ row)
+    assert 0.9 * sd < estimate.sd[1] / estimate.mean[1] < 1.6 * sd
+
+
+def test_heights_that_no_draw_of_a_look_has_are_not_possible_with_it():
+    rng = np.random.default_rng(4)
+    law = np.array([2.2, 0.1])
+    looks = [seen(rng, 0.8, 0.05, law, 20, False) for _ in range(2)]
+    bounded = [replace(looks[0], reach=(0.01, 0.06)), replace(looks[1], reach=(0.01, 0.055))]
+    first, both = fuse_cells([bounded], SETTINGS)[0].posteriors
+    assert 0.055 < first.q95[1] < 0.06
+    assert 0.05 < both.q95[1] < 0.055
+    assert both.mean[1] < both.q95[1]
+    free = fuse_cells([looks], SETTINGS)[0].final
+    assert free.q95[1] > 0.08  # nothing else tells law from height
+    apart = [replace(looks[0], reach=(0.01, 0.04)), replace(looks[1], reach=(0.05, 0.2))]
+    assert np.isfinite(fuse_cells([apart], SETTINGS)[0].final.mean[1])
 
 
 def test_two_sediments_of_unlike_laws_widen_the_spread():
@@ -326,7 +341,7 @@ def test_a_look_is_compared_with_all_others_together():
     )
     model = SurveyModel((known,), True)
     honest = [[seen(rng, 0.8, 0.05, law, 15, False) for _ in range(4)] for _ in range(40)]
-    false = [[seen(rng, 0.8, 0.057, law, 15, False), *looks[1:]] for looks in honest]
+    false = [[seen(rng, 0.8, 0.055, law, 15, False), *looks[1:]] for looks in honest]
     for cells, lost in ((honest, 0.05), (false, 0.5)):
         looks = collect(cells)
         pairs = agreeing_pairs(looks, model, len(cells))
