@@ -10,7 +10,7 @@ import yaml
 from affine import Affine
 
 from sasmap.ripples import Clip
-from sasmap.ripples.scattering import (
+from sasmap.simulate.scattering import (
     lit_amplitude,
     shadow_crest_rule,
     shadow_line_of_sight,

@@ -15,7 +15,7 @@ TESTS = (
     "tests/survey/test_navigation.py::test_equals_brute_force_over_all_segments",
     "tests/numerics",
     "tests/ripples/test_rendering.py",
-    "tests/ripples/test_scattering.py",
+    "tests/simulate/test_scattering.py",
 )
 # Minutes long without compilation, or simulated by facets.
 TOO_LONG = ("recovered", "pulse", "maps_origin")

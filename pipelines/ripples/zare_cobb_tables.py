@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from sasmap.ripples import Clip, RippleSettings, estimate
-from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
+from sasmap.simulate.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 
 ALTITUDE = 4.83
 # near and far range (m), f (cycles/m), A_H (m), and the printed squared errors of f and A_H

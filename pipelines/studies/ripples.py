@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from sasmap.ripples import Clip, RippleSettings, estimate
-from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule
+from sasmap.simulate.scattering import lit_amplitude, shadow_crest_rule
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -27,13 +27,13 @@ from sasmap.passes.summary import summarise
 from sasmap.ripples import Clip, Prior, RippleSettings, estimate
 from sasmap.ripples.diagnostics import ess_bulk, rhat
 from sasmap.ripples.rendering import pulses_of
-from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 from sasmap.sediments import fit, generalized_k, k_distribution
 from sasmap.sediments.classmap import class_map, log_likelihoods
 from sasmap.sediments.nodes import refine_boundary
 from sasmap.sediments.segmentation import find_classes
 from sasmap.sediments.trends import AmplitudeGrid
 from sasmap.simulate import coherent_cell
+from sasmap.simulate.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 from sasmap.survey.navigation import Track
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))

@@ -16,10 +16,11 @@ from scipy.ndimage import median_filter
 
 from sasmap.ripples.clip import Clip, mean_look
 from sasmap.ripples.priors import Prior
-from sasmap.ripples.scattering import SIGMA_VARIANCE
 
 FloatArray = NDArray[np.float64]
 
+# Variance of the Gaussian scattering cross section, rad^2 (ZC 3.2.3).
+SIGMA_VARIANCE = np.pi / 3
 FILTER = 5
 NARROW_WEIGHT = 0.7
 # Variances of the proposal's two Gaussians, the same for f and A_H (ZC 3.2.3).

@@ -9,7 +9,9 @@ from affine import Affine
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sasmap.ripples.scattering import (
+from sasmap.simulate.coherent import coherent_amplitude
+from sasmap.simulate.geometry import StraightTrack, View, track_line
+from sasmap.simulate.scattering import (
     ProfileName,
     cross_section,
     lit_amplitude,
@@ -17,8 +19,6 @@ from sasmap.ripples.scattering import (
     shadow_crest_rule,
     steepest,
 )
-from sasmap.simulate.coherent import coherent_amplitude
-from sasmap.simulate.geometry import StraightTrack, View, track_line
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.scattering import ProfileName, profile_height
+from sasmap.simulate.scattering import ProfileName, profile_height
 
 FloatArray = NDArray[np.float64]
 ShadowRule = Literal["line-of-sight", "crest"]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.scattering import ProfileName, lit_amplitude, profile_slope, steepest
+from sasmap.simulate.scattering import ProfileName, lit_amplitude, profile_slope, steepest
 from sasmap.simulate.shadow import ShadowRule, shadow_mask
 
 FloatArray = NDArray[np.float64]

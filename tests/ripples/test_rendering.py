@@ -27,9 +27,9 @@ from sasmap.ripples.rendering import (
     pulses_of,
 )
 from sasmap.ripples.rendering import NODES as LAW_NODES
-from sasmap.ripples.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 from sasmap.ripples.settings import Exponent, RippleSettings
 from sasmap.simulate.laws import PowerLaw
+from sasmap.simulate.scattering import lit_amplitude, shadow_crest_rule, shadow_line_of_sight
 from tests.ripples.engine import (
     GAUSSIAN,
     LAMBERT,

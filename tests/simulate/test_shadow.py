@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sasmap.ripples.scattering import (
+from sasmap.simulate.scattering import (
     profile_height,
     shadow_crest_rule,
     shadow_line_of_sight,

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from sasmap.ripples.scattering import (
+from sasmap.simulate.scattering import (
     cross_section,
     lit_amplitude,
     profile_height,
