@@ -173,6 +173,8 @@ def inspect_tile(path: Path, kind: Kind = "linear", geographic: bool = False) ->
         raise InputError(f"{path}: expected a file name in UTF-8") from None
     if not path.is_file():
         raise InputError(_no_file(path))
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: no permission to read it")
     try:
         with open_geotiff(path) as source:
             check_bands(path, source)
@@ -328,7 +330,8 @@ def read_numbers(tile: Tile, window: Window) -> Amplitude:
                 missing |= raw == source.nodata
             scale, offset = source.scales[0], source.offsets[0]
     except rasterio.errors.RasterioError as error:
-        raise OSError(f"{tile.path}: {_where(window)} cannot be read: {error}") from None
+        where = _where(_damaged(tile.path, window))
+        raise OSError(f"{tile.path}: {where} cannot be read: {error}") from None
     for fill in tile.fill:
         missing |= (raw == fill.value) & fill.near(window)
     # a broken file can hold signalling NaN, and numbers beyond float32
@@ -339,6 +342,23 @@ def read_numbers(tile: Tile, window: Window) -> Amplitude:
     missing |= ~np.isfinite(numbers)
     numbers[missing] = np.nan
     return np.asarray(numbers)
+
+
+def _damaged(path: Path, window: Window) -> Window:
+    """First block of a window that cannot be read; the window itself where each can be."""
+    try:
+        with open_geotiff(path) as source:
+            for _, block in source.block_windows(1):
+                here = Window(block.row_off, block.col_off, block.height, block.width)
+                if min(here.intersect(window)[2:]) == 0:
+                    continue
+                try:
+                    source.read(1, window=block)
+                except rasterio.errors.RasterioError:
+                    return here
+    except rasterio.errors.RasterioError:
+        pass  # no longer opens at all
+    return window
 
 
 def _where(window: Window) -> str:

@@ -89,7 +89,7 @@ def test_truncated(tmp_path, layout, keep):
     assert "truncated" in faulty(path) or "not a GeoTIFF" in faulty(path)
 
 
-def test_broken_block_is_an_error_that_names_file_and_window(tmp_path):
+def test_broken_block_is_an_error_that_names_file_and_block(tmp_path):
     noise = np.random.default_rng(1).integers(0, 255, (256, 256), dtype="uint8")
     path = write_tile(tmp_path / "t.tif", noise, NORTH_UP, compress="deflate", tiled=True,
                       blockxsize=64, blockysize=64)  # fmt: skip
@@ -98,8 +98,9 @@ def test_broken_block_is_an_error_that_names_file_and_window(tmp_path):
     content[middle : middle + 200] = b"\x00" * 200
     path.write_bytes(bytes(content))
     tile = inspect_tile(path)
-    with pytest.raises(OSError, match=r"t\.tif: rows 0 to 255, columns 0 to 255"):
+    with pytest.raises(OSError, match=r"t\.tif: rows 64 to 127, columns 192 to 255"):
         read_tile(tile, tile.window)
+    np.testing.assert_array_equal(read_tile(tile, Window(0, 0, 32, 256)), noise[:32])
 
 
 def test_gather_same_lattice_first_wins(tmp_path):
@@ -205,3 +206,9 @@ def test_damaged_geokeys_are_one_line(tmp_path):
     path.write_bytes(raw)
     with pytest.raises(InputError, match=r"a\.tif: not a GeoTIFF that can be opened"):
         inspect_tile(path)
+
+
+def test_a_tile_without_permission_is_not_called_a_wrong_format(tmp_path, monkeypatch):
+    path = write_tile(tmp_path / "a.tif", RAMP, NORTH_UP)
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert "no permission" in faulty(path)
