@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.passes.evidence import MOST_KEPT, with_prior
-from sasmap.passes.heights import of_look, to_height, told_by
+from sasmap.passes.heights import of_look, raised, to_height, told_by
 from sasmap.passes.information import (
     Information,
     add,
@@ -26,7 +26,7 @@ from sasmap.passes.information import (
     substitute,
     workspace,
 )
-from sasmap.passes.looks import NONE, Looks, law_factor, steepness_factor
+from sasmap.passes.looks import LOG_HEIGHT, NONE, Looks, law_factor, steepness_factor
 from sasmap.passes.shared import SurveyModel
 from sasmap.ripples.mixture import weighted
 
@@ -34,6 +34,9 @@ FloatArray = NDArray[np.float64]
 
 # Least weight of the components of a cell's estimate, times the number of draws.
 NEGLIGIBLE = 1e-4
+# Change of log A_H between passes up to which the range of a look's draws bounds another pass,
+# standard deviations.
+SCATTERS = 3.0
 
 
 class _Draws(NamedTuple):
@@ -95,19 +98,24 @@ def after_each(looks: Looks, survey: SurveyModel) -> tuple[FloatArray, FloatArra
     return weight, mean[:, :last], covariance[:, :last]
 
 
-def reach_after_each(looks: Looks) -> FloatArray:
+def reach_after_each(looks: Looks, survey: SurveyModel) -> FloatArray:
     """Least and largest A_H (N, 2) that each look and the earlier ones of its cell allow, m.
 
     Parameters
     ----------
     looks : Looks
         As for :func:`after_each`.
+    survey : SurveyModel
     """
-    reach = looks.reach.copy()
+    shared = survey.middle
+    several = np.bincount(looks.cell)[looks.cell] > 1  # one look has its own A_H
+    wider = SCATTERS * shared.scatter[LOG_HEIGHT] * several
+    shift = raised(looks, shared)
+    reach = np.asarray(looks.reach * np.exp(np.stack([shift - wider, shift + wider], axis=1)))
     for r in range(1, len(reach)):
         if looks.cell[r] == looks.cell[r - 1]:
             low, high = max(reach[r, 0], reach[r - 1, 0]), min(reach[r, 1], reach[r - 1, 1])
-            # looks that allow nothing in common are only told apart by their likelihoods
+            # where looks have no height in common the first ones hold
             reach[r] = (low, high) if low < high else reach[r - 1]
     return reach
 
@@ -195,12 +203,12 @@ def _products(first, end, swath, per_metre, told, draws, v, most, states):  # ty
         count = 1
         begin(kept)
         for r in range(first, end):
-            raised = per_metre[r] * draws.offset[v, swath[r]]
+            raised_by = per_metre[r] * draws.offset[v, swath[r]]
             for k in range(components):
                 level[k] = told.level[r, k]
                 if level[k] > -np.inf:
                     level[k] = to_height(
-                        told, r, k, raised, law, gain, shift, linear[k], precision[k]
+                        told, r, k, raised_by, law, gain, shift, linear[k], precision[k]
                     )
                     level[k] = blur(level[k], linear[k], precision[k], variance, column)
             count = multiply(

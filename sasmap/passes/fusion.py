@@ -317,7 +317,7 @@ def _products(
     some = looks.some(order[used[order]])
     result: dict[int, dict[int, CellEstimate]] = {}
     if some.cell.size:
-        found = estimates(*after_each(some, survey), settings, reach_after_each(some))
+        found = estimates(*after_each(some, survey), settings, reach_after_each(some, survey))
         for i, k, estimate in zip(some.cell, some.swath, found, strict=True):
             result.setdefault(int(i), {})[int(k)] = estimate
     return result

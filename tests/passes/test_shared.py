@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from sasmap.passes.agreement import agreeing, distances_of, together
+from sasmap.passes.combination import reach_after_each
 from sasmap.passes.evidence import with_prior
 from sasmap.passes.fusion import fuse_cells, learn_survey
 from sasmap.passes.heights import without_scatter
@@ -213,6 +214,27 @@ def test_heights_that_no_draw_of_a_look_has_are_not_possible_with_it():
     assert free.q95[1] > 0.08  # nothing else tells law from height
     apart = [replace(looks[0], reach=(0.01, 0.04)), replace(looks[1], reach=(0.05, 0.2))]
     assert np.isfinite(fuse_cells([apart], SETTINGS)[0].final.mean[1])
+
+
+def test_the_range_of_heights_moves_with_altitude_and_widens_with_change():
+    rng = np.random.default_rng(4)
+    law = np.array([2.2, 0.1])
+    looks = [replace(seen(rng, 0.8, 0.05, law, 20, False), reach=(0.02, 0.06)) for _ in range(2)]
+
+    def reach(cells, offset, scatter):
+        known = Shared(
+            law, np.full(2, 0.1), np.zeros(2), np.full(2, offset), np.full(3, scatter), 0.1, 0.03
+        )
+        return reach_after_each(collect(cells), SurveyModel((known,), True))
+
+    np.testing.assert_allclose(reach([looks[:1]], 0.0, 0.3), [[0.02, 0.06]])
+    # altitude 10 % too low, and A_H is proportional to it
+    np.testing.assert_allclose(
+        reach([looks[:1]], 0.1 * ALTITUDE, 0.0) / np.exp(0.1), [[0.02, 0.06]]
+    )
+    wide = reach([looks], 0.0, 0.3)
+    assert (wide[:, 0] < 0.01).all()
+    assert (wide[:, 1] > 0.12).all()
 
 
 def test_two_sediments_of_unlike_laws_widen_the_spread():
