@@ -92,6 +92,11 @@ class Task(NamedTuple):
     prior: Prior
     altitude_sd: float
 
+    @property
+    def published(self) -> bool:
+        """Whether Zare and Cobb's model is fitted."""
+        return self.settings.scattering == "zare-cobb"
+
 
 def fit_wave(task: Task, wave: FloatArray) -> Fit:
     """Fit a wave: straight crests first, a phase field where they do not suffice.
@@ -135,7 +140,7 @@ def fitted(
     climb: Callable[[Histogram, Geometry], list[Peak]],
 ) -> Fit:
     """Bin a clip by phase and range and climb to peaks of its posterior."""
-    data = histogram(task.image, trend, phase)
+    data = histogram(task.image, trend, phase, task.published)
     geometry = clip_geometry(task, phase, data)
     peaks = climb(data, geometry)
     if not peaks:
@@ -153,8 +158,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     pixels = data.pixel_count.sum(axis=1)
     middle = [float(np.average(v, weights=pixels)) for v in (data.ground_range, data.altitude)]
     law = scattering_law(settings.scattering)
-    published = settings.scattering == "zare-cobb"
-    fixed = np.array([np.nan, np.nan, 0.0, 0.0] if published else [np.nan] * 4)
+    fixed = np.array([np.nan, np.nan, 0.0, 0.0] if task.published else [np.nan] * 4)
     if law is not None:
         fixed[:2] = law
     rule = CREST if settings.shadow == "crest" else LINE_OF_SIGHT
@@ -171,7 +175,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         wave_sd=FOUND_TO / max(float(np.ptp(data.place)), image.pixel_size),
         expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
         follows_image=not phase.rigid,
-        published=published,
+        published=task.published,
         shadow=rule,
         law_error=np.zeros(LAW_KNOTS.size),
         third_harmonic=np.zeros(2),
@@ -204,7 +208,7 @@ def refined(task: Task, fit: Fit) -> Fit:
         model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase.wave, phase.box, used, model)
         fit = turned(image, fit._replace(trend=trend), across_look(image, fit, fit.data, used)[0])
-        data = histogram(image, trend, fit.phase)
+        data = histogram(image, trend, fit.phase, fit.geometry.published)
         fit = reoptimised(fit, data, fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
     lit = used & (model > DARK)

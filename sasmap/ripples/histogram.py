@@ -30,8 +30,10 @@ FloatArray = NDArray[np.float64]
 LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.035
 # Most groups of range with a gain of their own, each at least a wavelength long.
 MOST_GROUPS = 8
-# Bins of phase per pixel along the look, and their least and largest number.
-BINS_A_PIXEL, LEAST_BINS, MOST_BINS = 1.25, 16, 64
+# Bins of phase per pixel along the look, and their largest number; where the published model is
+# taken at its word, whose shadows have no blur, more: with the first, A_H of ripples far steeper
+# than the lowest ray is 5 % too high (pipelines/ripples/zare_cobb_tables.py). Their least number.
+BINS, SHARP_BINS, LEAST_BINS = (1.25, 64), (2.0, 128), 16
 
 
 def range_edges(nearest: float, farthest: float) -> FloatArray:
@@ -57,7 +59,9 @@ def range_edges(nearest: float, farthest: float) -> FloatArray:
     )
 
 
-def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
+def histogram(
+    image: Image, trend: FloatArray, phase: PhaseField, published: bool = False
+) -> Histogram:
     """Sum a clip's rippled pixels over bins of phase and range.
 
     Parameters
@@ -66,6 +70,8 @@ def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
     trend : ndarray (box rows, box columns)
         Local mean intensity in the phase field's boxes.
     phase : PhaseField
+    published : bool
+        Whether Zare and Cobb's model is fitted.
 
     Returns
     -------
@@ -74,7 +80,8 @@ def histogram(image: Image, trend: FloatArray, phase: PhaseField) -> Histogram:
     used = image.valid & phase.pixels(phase.covered, image.shape)
     along = float(phase.wave @ image.look)
     pixels = 1 / (along * image.pixel_size)
-    bins = int(np.clip(round(BINS_A_PIXEL * pixels), LEAST_BINS, MOST_BINS))
+    a_pixel, most = SHARP_BINS if published else BINS
+    bins = int(np.clip(round(a_pixel * pixels), LEAST_BINS, most))
     reach = image.ground_range[used]
     edges = range_edges(float(reach.min()), float(reach.max()))
     sums, blocks = sum_pixels(
