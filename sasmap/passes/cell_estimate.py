@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from sasmap.passes.derived import UNKNOWN as UNDERIVED
 from sasmap.passes.derived import Derived
@@ -14,6 +15,10 @@ from sasmap.ripples.mixture import Marginal, marginals, weighted
 from sasmap.ripples.settings import RippleSettings
 
 FloatArray = NDArray[np.float64]
+
+# Least probability of the heights that a cell's looks allow (a choice: looks that agree leave more
+# than half).
+LEAST_MASS = 0.1
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,8 @@ def estimates(
     covariance : ndarray (cells, K, 3, 3)
     settings : RippleSettings
     reach : ndarray (cells, 2), optional
-        Least and largest A_H (m) of each cell, within the bounds of the settings.
+        Least and largest A_H (m) of each cell, within the bounds of the settings. Ignored where
+        little of the estimate lies between them: then the looks' likelihoods decide.
 
     Returns
     -------
@@ -69,7 +75,10 @@ def estimates(
     with np.errstate(divide="ignore"):
         f_bounds, bounds = np.log(settings.frequency), np.log(settings.height)[:, None]
         if reach is not None:
-            bounds = np.clip(np.log(reach).T, *bounds)
+            closer = np.clip(np.log(reach).T, *bounds)
+            sd = np.sqrt(variance[..., 1])
+            low, high = (ndtr((b[:, None] - mean[..., 1]) / sd) for b in closer)
+            bounds = np.where(weighted(weight, high - low) > LEAST_MASS, closer, bounds)
     # f is far better known than A_H, so the bounds of A_H at the cell's f bound the steepness
     steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]

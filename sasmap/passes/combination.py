@@ -101,6 +101,8 @@ def after_each(looks: Looks, survey: SurveyModel) -> tuple[FloatArray, FloatArra
 def reach_after_each(looks: Looks, survey: SurveyModel) -> FloatArray:
     """Least and largest A_H (N, 2) that each look and the earlier ones of its cell allow, m.
 
+    The least is above the largest where the looks have no height in common.
+
     Parameters
     ----------
     looks : Looks
@@ -114,9 +116,7 @@ def reach_after_each(looks: Looks, survey: SurveyModel) -> FloatArray:
     reach = np.asarray(looks.reach * np.exp(np.stack([shift - wider, shift + wider], axis=1)))
     for r in range(1, len(reach)):
         if looks.cell[r] == looks.cell[r - 1]:
-            low, high = max(reach[r, 0], reach[r - 1, 0]), min(reach[r, 1], reach[r - 1, 1])
-            # where looks have no height in common the first ones hold
-            reach[r] = (low, high) if low < high else reach[r - 1]
+            reach[r] = max(reach[r, 0], reach[r - 1, 0]), min(reach[r, 1], reach[r - 1, 1])
     return reach
 
 
