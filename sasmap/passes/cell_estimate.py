@@ -53,7 +53,7 @@ def estimates(
     mean: FloatArray,
     covariance: FloatArray,
     settings: RippleSettings,
-    reach: FloatArray | None = None,
+    reach: FloatArray,
 ) -> list[CellEstimate]:
     """Summarise mixtures over log f, log A_H and azimuth.
 
@@ -63,7 +63,7 @@ def estimates(
     mean : ndarray (cells, K, 3)
     covariance : ndarray (cells, K, 3, 3)
     settings : RippleSettings
-    reach : ndarray (cells, 2), optional
+    reach : ndarray (cells, 2)
         Least and largest A_H (m) of each cell, within the bounds of the settings. Ignored where
         little of the estimate lies between them: then the looks' likelihoods decide.
 
@@ -74,11 +74,10 @@ def estimates(
     variance = np.diagonal(covariance, axis1=2, axis2=3)
     with np.errstate(divide="ignore"):
         f_bounds, bounds = np.log(settings.frequency), np.log(settings.height)[:, None]
-        if reach is not None:
-            closer = np.clip(np.log(reach).T, *bounds)
-            sd = np.sqrt(variance[..., 1])
-            low, high = (ndtr((b[:, None] - mean[..., 1]) / sd) for b in closer)
-            bounds = np.where(weighted(weight, high - low) > LEAST_MASS, closer, bounds)
+        closer = np.clip(np.log(reach).T, *bounds)
+    sd = np.sqrt(variance[..., 1])
+    low, high = (ndtr((b[:, None] - mean[..., 1]) / sd) for b in closer)
+    bounds = np.where(weighted(weight, high - low) > LEAST_MASS, closer, bounds)
     # f is far better known than A_H, so the bounds of A_H at the cell's f bound the steepness
     steep = np.log(2) + weighted(weight, mean[..., 0]) + bounds
     ratio = variance[..., 0] + variance[..., 1] + 2 * covariance[..., 0, 1]

@@ -1,4 +1,4 @@
-"""Sonar amplitude of a rippled sea floor: cross section, profiles, shadow (ZC 1-4).
+"""Sonar amplitude of a rippled sea floor: cross section, slopes, shadow (ZC 1-4).
 
 All functions take arrays that broadcast, angles in radians and lengths in metres.
 """
@@ -10,11 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sasmap.ripples.published import SIGMA_VARIANCE
+
 FloatArray = NDArray[np.float64]
 ProfileName = Literal["sine", "stokes", "peaked"]
-
-# Variance of the Gaussian scattering cross section, rad^2 (ZC 3.2.3).
-SIGMA_VARIANCE = np.pi / 3
 
 
 def cross_section(grazing: ArrayLike) -> FloatArray:
@@ -35,33 +34,11 @@ def cross_section(grazing: ArrayLike) -> FloatArray:
     return np.asarray(np.exp(-(offset**2) / (2 * SIGMA_VARIANCE)) / norm)
 
 
-def profile_height(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName) -> FloatArray:
-    """Sea-floor height over A_H as a function of phase.
-
-    Parameters
-    ----------
-    phase : array_like
-        Ripple phase, rad; the crest is at pi/2.
-    steepness : array_like
-        2 pi f A_H (the Stokes profile depends on it).
-    profile : {"sine", "stokes", "peaked"}
-
-    Returns
-    -------
-    ndarray
-        h / A_H (docs/science.md, profiles).
-    """
-    phase = np.asarray(phase, float)
-    sine = np.sin(phase)
-    if profile == "sine":
-        return np.asarray(sine)
-    if profile == "stokes":
-        return np.asarray(sine - 0.5 * np.asarray(steepness) * np.cos(2 * phase))
-    return np.asarray(0.5 * (1 + sine) ** 2 - 1)
-
-
 def profile_slope(phase: ArrayLike, steepness: ArrayLike, profile: ProfileName) -> FloatArray:
-    """Return the phase derivative of :func:`profile_height`; times 2 pi f A_H it is the slope."""
+    """Return the phase derivative of the profile's :func:`~sasmap.simulate.profiles.crest`.
+
+    Times 2 pi f A_H it is the slope.
+    """
     phase = np.asarray(phase, float)
     cosine = np.cos(phase)
     if profile == "sine":

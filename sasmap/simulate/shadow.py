@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.simulate.scattering import ProfileName, profile_height
+from sasmap.simulate.profiles import crest
+from sasmap.simulate.scattering import ProfileName
 
 FloatArray = NDArray[np.float64]
 ShadowRule = Literal["line-of-sight", "crest"]
@@ -49,7 +50,7 @@ def shadow_table(rule: ShadowRule, profile: ProfileName) -> FloatArray:
 
 def _for_steepness(rule: ShadowRule, profile: ProfileName, steepness: float) -> FloatArray:
     past = np.linspace(0, 2 * np.pi, FINE + 1)
-    height = profile_height(past + np.pi / 2, steepness, profile)
+    height = crest(past + np.pi / 2, steepness, profile)
     height = height - height[0]
     if rule == "crest":  # the ray over the crest itself
         limit = float((-height[1:] / past[1:]).max())
@@ -148,7 +149,7 @@ def shadow_mask(
         reach = ground_range - past / (2 * np.pi * along)
         slope = altitude / np.where(reach > 0, reach, np.inf)
     else:
-        slope = (altitude - height * profile_height(phase, full, profile)) / ground_range
+        slope = (altitude - height * crest(phase, full, profile)) / ground_range
     ratio = slope / steepness
     table = shadow_table(rule, profile)
     place = min(full / MAX_STEEPNESS, 1.0) * (len(table) - 1)

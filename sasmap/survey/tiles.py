@@ -10,7 +10,7 @@ import os
 import struct
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -346,19 +346,20 @@ def read_numbers(tile: Tile, window: Window) -> Amplitude:
 
 def _damaged(path: Path, window: Window) -> Window:
     """First block of a window that cannot be read; the window itself where each can be."""
-    try:
-        with open_geotiff(path) as source:
-            for _, block in source.block_windows(1):
-                here = Window(block.row_off, block.col_off, block.height, block.width)
-                if min(here.intersect(window)[2:]) == 0:
-                    continue
-                try:
-                    source.read(1, window=block)
-                except rasterio.errors.RasterioError:
-                    return here
-    except rasterio.errors.RasterioError:
-        pass  # no longer opens at all
+    with suppress(rasterio.errors.RasterioError), open_geotiff(path) as source:
+        for _, block in source.block_windows(1):
+            here = Window(block.row_off, block.col_off, block.height, block.width)
+            if min(here.intersect(window)[2:]) > 0 and not _decodes(source, block):
+                return here
     return window
+
+
+def _decodes(source: rasterio.DatasetReader, block: rasterio.windows.Window) -> bool:
+    try:
+        source.read(1, window=block)
+    except rasterio.errors.RasterioError:
+        return False
+    return True
 
 
 def _where(window: Window) -> str:

@@ -5,6 +5,8 @@ from sasmap.passes.cell_estimate import estimates
 from sasmap.passes.derived import derived_of_draws
 from sasmap.ripples import RippleSettings
 
+ANY = np.array([[0.0, np.inf]])  # no bound by the looks
+
 
 def test_a_mixture_and_its_draws_say_the_same():
     rng = np.random.default_rng(3)
@@ -17,7 +19,7 @@ def test_a_mixture_and_its_draws_say_the_same():
     wide = np.pad(mean, ((0, 0), (0, 1)))
     covariance = np.zeros((2, 3, 3))
     covariance[:, :2, :2], covariance[:, 2, 2] = root @ root.T, 1.0
-    (found,) = estimates(weight[None], wide[None], covariance[None], RippleSettings())
+    (found,) = estimates(weight[None], wide[None], covariance[None], RippleSettings(), ANY)
     sd = drawn.steepness[1]
     np.testing.assert_allclose(found.derived.steepness, drawn.steepness, atol=0.02 * sd)
     np.testing.assert_allclose(found.derived.wavelength, drawn.wavelength, rtol=0.01)
@@ -41,7 +43,7 @@ def test_a_steepness_knows_the_bounds_of_the_height():
     """A log A_H that is hardly known, cut at the bounds: the steepness is 2 f A_H all the same."""
     mean = np.array([[[np.log(0.6), np.log(0.03), 90.0]], [[np.log(1.2), np.log(0.3), 90.0]]])
     covariance = np.tile(np.diag([1e-6, 4.0, 1.0]), (2, 1, 1, 1))
-    found = estimates(np.ones((2, 1)), mean, covariance, RippleSettings())
+    found = estimates(np.ones((2, 1)), mean, covariance, RippleSettings(), ANY)
     for estimate, f in zip(found, (0.6, 1.2), strict=True):
         heights = [getattr(estimate, name)[1] for name in ("mean", "sd", "q05", "q95")]
         np.testing.assert_allclose(estimate.derived.steepness, 2 * f * np.array(heights), rtol=0.01)

@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
+from sasmap.simulate.profiles import crest
 from sasmap.simulate.scattering import (
     cross_section,
     lit_amplitude,
-    profile_height,
     profile_slope,
     shadow_crest_rule,
     shadow_line_of_sight,
@@ -28,7 +28,7 @@ def test_cross_section_is_a_density_about_normal_incidence():
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("steepness", [0.0, 0.05, 0.3, 0.6])
 def test_slope_is_the_derivative_and_steepest_its_maximum(profile, steepness):
-    height = profile_height(PHASE, steepness, profile)
+    height = crest(PHASE, steepness, profile)
     slope = profile_slope(PHASE, steepness, profile)
     np.testing.assert_allclose(np.gradient(height, PHASE)[1:-1], slope[1:-1], atol=1e-6)
     assert abs(slope.max() - steepest(steepness, profile)) < 1e-6
@@ -38,7 +38,7 @@ def test_slope_is_the_derivative_and_steepest_its_maximum(profile, steepness):
 
 
 def test_stokes_becomes_a_sine_as_it_flattens():
-    for function in (profile_height, profile_slope):
+    for function in (crest, profile_slope):
         np.testing.assert_allclose(
             function(PHASE, 1e-9, "stokes"), function(PHASE, 0, "sine"), atol=1e-8
         )
@@ -82,14 +82,14 @@ def test_shadow_scan_equals_every_ray_tried(height, wavelength, altitude, near):
 
 def test_published_fractions_of_shadow():
     # crest rule / line of sight, A_H = 0.07 m, f = 0.6, A_S = 4.83 m
-    for near, crest, sight in ((12.2, 0.0, 0.125), (24.4, 0.26, 0.45)):
+    for near, by_crest, sight in ((12.2, 0.0, 0.125), (24.4, 0.26, 0.45)):
         r = near - 2 + np.linspace(0, 14.2, 28401)
         phase = 2 * np.pi * 0.6 * r
         seen = r >= near
         hidden = shadow_line_of_sight(0.07 * np.sin(phase), r, 4.83)[seen]
         ruled = shadow_crest_rule(phase, r, 4.83, 0.6, 0.07)[seen]
         assert abs(hidden.mean() - sight) < 0.01
-        assert abs(ruled.mean() - crest) < 0.01
+        assert abs(ruled.mean() - by_crest) < 0.01
 
 
 def test_shadow_starts_where_the_slope_reaches_the_grazing_angle():

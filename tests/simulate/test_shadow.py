@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from sasmap.simulate.profiles import crest
 from sasmap.simulate.scattering import (
-    profile_height,
     shadow_crest_rule,
     shadow_line_of_sight,
 )
@@ -17,7 +17,7 @@ def test_table_hides_what_a_scan_along_the_ray_hides(profile, near, height):
     reach = near - 4 / FREQUENCY + np.arange(40_000) * 5e-4
     phase = 2 * np.pi * FREQUENCY * reach
     full = 2 * np.pi * FREQUENCY * height
-    floor = height * profile_height(phase, full, profile)
+    floor = height * crest(phase, full, profile)
     seen = reach > near
     scanned = shadow_line_of_sight(floor, reach, 4.83)[seen]
     told = shadow_mask(
