@@ -258,32 +258,6 @@ def with_fitted_errors(fit: Fit) -> FloatArray:
     return np.asarray(means * np.exp((_fitted(fit, means) @ errors).reshape(means.shape)))
 
 
-def misfit_of(fit: Fit, whole: Histogram) -> float:
-    """Root mean square relative error of the expected intensity, beyond speckle.
-
-    Computed over cells (groups of range and parts of phase), after the model errors that the
-    likelihood allows for are fitted. Dark cells weigh less, by the square of their intensity,
-    because side lobes brighten them.
-
-    Parameters
-    ----------
-    fit : Fit
-    whole : Histogram
-        With all pixels of weight 1.
-
-    Returns
-    -------
-    float
-    """
-    means = with_fitted_errors(fit)
-    sums = whole.pixel_count, whole.intensity_sum, whole.pixel_count * means
-    pixels, seen, expected = (in_cells(whole, v) for v in sums)
-    count = np.maximum(pixels, 1.0)
-    bright = np.minimum(np.maximum(seen, expected) / count, 1.0)
-    beyond = (seen / np.maximum(expected, 1e-300) - 1) ** 2 - fit.noise_factor / count
-    return float(np.sqrt(max(np.average(beyond, weights=pixels * bright**2), 0.0)))
-
-
 def bin_weights(fit: Fit, whole: Histogram, pixel_size: float) -> FloatArray:
     """Compute the weight of a pixel in each bin (blocks, bins), less where the model may be wrong.
 

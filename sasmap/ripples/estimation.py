@@ -45,9 +45,9 @@ MIN_PIXELS = 400
 # Largest noise factor that correlated speckle explains, and error of log A_H for each factor of e
 # beyond it: small ripples on large ones (pipelines/studies/beds.py).
 MISFIT = (4.0, 0.2)
-# Misfit of lit sea floor that remains where all waves have one height, and error of log A_H per
-# unit beyond it (pipelines/studies/varying.py).
-ONE_HEIGHT, VARYING = 0.01, 2.2
+# Spread of log A_H from place to place that remains where all waves have one height, and error of
+# log A_H per unit beyond it (pipelines/studies/varying.py).
+ONE_HEIGHT, VARYING = 0.01, 3.0
 # Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
 # certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
@@ -67,6 +67,10 @@ ANOTHER, LONGER, OVERTONE = 0.87, 0.4, 0.95
 # same direction is an overtone even if the ratio is not an integer: shadow made one of 2.6 and 2.7
 # with a tenth of the energy.
 SHORTER, FAINT = 1.7, 0.25
+# Energy of a second system over that of the strongest wave below which it is none: the window and
+# the removal of the trend leave up to 0.001 of a wave in another direction
+# (pipelines/ripples/calibration.py).
+LEAST_SECOND = 0.002
 # Share of the strongest wave's energy above which a wave of half or double its frequency is tried
 # as well.
 RIVAL = 0.25
@@ -259,7 +263,8 @@ def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
         faint = ratio > SHORTER and wave.energy < FAINT * most
         overtone = cosine > OVERTONE and (faint or abs(ratio - round(ratio)) < 0.1 * ratio)
         other = cosine < ANOTHER or (abs(np.log(ratio)) > LONGER and not overtone)
-        if wave.whole and wave.probability > PRESENT and other:
+        likely = wave.whole and wave.probability > PRESENT and wave.energy > LEAST_SECOND * most
+        if likely and other:
             return wave
     return None
 
@@ -359,7 +364,7 @@ def _height_error(fit: Fit) -> float:
 
 def _varying(fit: Fit) -> float:
     """Error of log A_H where heights vary between single waves or parts of the clip."""
-    return VARYING * max(fit.misfit - ONE_HEIGHT, 0.0)
+    return VARYING * max(fit.unlike - ONE_HEIGHT, 0.0)
 
 
 def _stretch(fit: Fit, image: Image, fraction: float) -> float:

@@ -23,8 +23,6 @@ from sasmap.ripples.errors import (
     HEIGHT_TREND,
     bin_weights,
     linearised,
-    misfit_of,
-    per_cycle,
     slope_error,
 )
 from sasmap.ripples.histogram import histogram
@@ -47,9 +45,8 @@ from sasmap.ripples.phase import (
     trial_fields,
     with_slight_bends,
 )
-from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.priors import Prior
-from sasmap.ripples.rendered import Fit, expected_at, lag_over_range
+from sasmap.ripples.rendered import Fit, expected_at, lag_over_range, painted
 from sasmap.ripples.rendering import (
     CREST,
     LAW_KNOTS,
@@ -57,10 +54,10 @@ from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
 )
+from sasmap.ripples.residuals import across_look, spread_of_heights
 from sasmap.ripples.settings import RippleSettings, scattering_law
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Expected standard deviation of a sonar's point spread function, pixels.
 POINT_SPREAD = 0.5
@@ -222,33 +219,10 @@ def refined(task: Task, fit: Fit) -> Fit:
     another = found[0] is not fit.peaks[0]
     fit = fit._replace(peaks=found)
     fit = reweighted(fit, whole, image.pixel_size) if another else fit
-    misfit = misfit_of(fit, whole)
     tilt = slope_error(fit, whole, image.pixel_size)
-    return fit._replace(misfit=misfit, tilt=tilt, across=across_look(image, fit, whole, used))
-
-
-def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tuple[float, float]:
-    """Estimate the wave number across the look, and its standard deviation, cycles/m.
-
-    One step of Fisher scoring over the pixels: the histogram's sums do not show how far crests
-    turn. A phase field states its own.
-    """
-    across = fit.geometry.across
-    if not fit.phase.rigid:
-        return across, float(fit.phase.wave_sd[1])
-    means, pixels = expected_at(fit, fit.z)[0], whole.pixel_count
-    slope, weight = per_cycle(np.log(means)), fit.data.pixel_count / np.maximum(pixels, 1.0)
-    power = image.power[used] + DYNAMIC_RANGE
-    residual = power / np.maximum(painted(image, fit, used, means)[used], 1e-300) - 1
-    pull = residual * spread_bins(image, fit, used, weight * slope)[used]
-    x, y = (image.project(v)[used] for v in (image.look, image.beside))
-    x, y = x - x.mean(), y - y.mean()
-    y = y - (x @ y) / max(x @ x, 1e-12) * x
-    told, square = (pixels * weight * slope**2).sum(), float(np.mean(y**2))
-    noise = fit.noise_factor * (pixels * (weight * slope) ** 2).sum()
-    error = np.sqrt(noise * square) / max(told * square, 1e-12)
-    error = np.hypot(error, fit.phase.wave_sd[1])
-    return across + float(pull @ y / max(told * square, 1e-12)), float(error)
+    unlike = spread_of_heights(image, fit, whole, used)
+    across = across_look(image, fit, whole, used)
+    return fit._replace(unlike=unlike, tilt=tilt, across=across)
 
 
 def turned(image: Image, fit: Fit, across: float) -> Fit:
@@ -303,20 +277,6 @@ def explained(fit: Fit) -> float:
     flat = total / count
     gain = data.pixel_count * np.log(flat / means)
     return float((gain + data.intensity_sum * (1 / flat - 1 / means)).sum())
-
-
-def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
-    """Spread means of bins (blocks, bins) over the used pixels, times the trend; 0 elsewhere."""
-    model = spread_bins(image, fit, used, means)
-    return np.asarray(model * spread_boxes(fit.trend, fit.phase.box, image.shape))
-
-
-def spread_bins(image: Image, fit: Fit, used: BoolArray, values: FloatArray) -> FloatArray:
-    """Spread values of bins (blocks, bins) over the used pixels; 0 elsewhere."""
-    phase, reach = fit.phase, fit.data.ground_range
-    return np.asarray(
-        paint_pixels(used, image.ground_range, phase.cycles, phase.per_pixel(image), reach, values)
-    )
 
 
 def reoptimised(fit: Fit, data: Histogram, geometry: Geometry, rounds: int) -> Fit:

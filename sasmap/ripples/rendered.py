@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import Peak
 from sasmap.ripples.phase import PhaseField
+from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
@@ -18,6 +20,7 @@ from sasmap.ripples.rendering import (
 )
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 class Fit(NamedTuple):
@@ -35,9 +38,9 @@ class Fit(NamedTuple):
         Variance of the speckle over that of independent pixels.
     explained : float
         Log likelihood ratio of the likeliest ripple to a flat sea floor, for independent speckle.
-    misfit : float
-        Relative error of the expected intensity, as estimated from the image
-        (:func:`sasmap.ripples.errors.misfit_of`).
+    unlike : float
+        Standard deviation of log A_H from place to place
+        (:func:`sasmap.ripples.residuals.spread_of_heights`).
     tilt : float
         Standard deviation of the slope of the phase over range, cycles/m
         (:func:`sasmap.ripples.errors.slope_error`).
@@ -52,7 +55,7 @@ class Fit(NamedTuple):
     peaks: list[Peak]
     noise_factor: float = 1.0
     explained: float = 0.0
-    misfit: float = 0.0
+    unlike: float = 0.0
     tilt: float = 0.0
     across: tuple[float, float] = (0.0, 0.0)
 
@@ -77,3 +80,17 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     means, gains = np.empty(fit.data.pixel_count.shape), np.empty(len(fit.data.place))
     fill_expected(parameters_at(z, fit.geometry), fit.data, fit.geometry, means, gains)
     return means, gains
+
+
+def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
+    """Spread means of bins (blocks, bins) over the used pixels, times the trend; 0 elsewhere."""
+    model = spread_bins(image, fit, used, means)
+    return np.asarray(model * spread_boxes(fit.trend, fit.phase.box, image.shape))
+
+
+def spread_bins(image: Image, fit: Fit, used: BoolArray, values: FloatArray) -> FloatArray:
+    """Spread values of bins (blocks, bins) over the used pixels; 0 elsewhere."""
+    phase, reach = fit.phase, fit.data.ground_range
+    return np.asarray(
+        paint_pixels(used, image.ground_range, phase.cycles, phase.per_pixel(image), reach, values)
+    )

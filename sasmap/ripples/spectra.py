@@ -77,6 +77,9 @@ class Table(NamedTuple):
         Power of the transforms.
     full : tuple of int
         Size of the transforms.
+    flank : ndarray of bool
+        Whether no cell around, outside the peak of a known wave, has more power than all of its own
+        neighbours: an edge of the ripples and heights that vary raise the flanks of their peak.
     """
 
     level: FloatArray
@@ -87,6 +90,7 @@ class Table(NamedTuple):
     narrow: FloatArray
     power: list[NDArray[np.float32]]
     full: tuple[int, int]
+    flank: BoolArray
 
 
 def taper(count: int) -> FloatArray:
@@ -196,8 +200,11 @@ def _table(
     total, highest = (np.reshape([v[k] for v in summed], shown) for k in (1, 2))
     lengths = len(count)
     soft = _ladder(lengths, _SOFT)
+    flank = np.zeros(total.shape, bool)
     if known is not None:
         beside = _apart(count.shape, known)
+        mean = _mean(total, count)
+        flank = _highest_around(beside * (mean >= _highest_around(mean))) == 0
         count, total, highest = (v * beside for v in (count, total, highest))
         power = [v * beside.ravel()[number].astype(np.float32) for v in power]
     around = soft @ count @ _ring(_SOFT)
@@ -218,6 +225,7 @@ def _table(
         _highest_around(highest),
         power,
         (rows, columns),
+        flank,
     )
 
 
@@ -294,7 +302,7 @@ def _peaks(
     wavelength = MIN_PIXELS * 2 ** (np.arange(lengths) / OCTAVE)[:, None]
     turn = np.arange(directions) * np.pi / directions
     waves = np.hypot(columns * np.cos(turn), rows * np.sin(turn)) / wavelength
-    tops = (table.level >= _highest_around(table.level)) & (evidence > WORTH)
+    tops = (table.level >= _highest_around(table.level)) & (evidence > WORTH) & ~table.flank
     tops &= waves >= NEARLY * MIN_WAVES
     for k, part in enumerate(parts):
         share = float(valid[part].sum()) / valid.size
