@@ -262,8 +262,18 @@ def test_ripples_of_one_system_have_no_second(forks):
         assert second_system(found, strongest.vector) is None
 
 
-def a_wave(vector, whole=True):
-    return Wave(np.array(vector), 5.0, 1.0, whole)
+def test_ripples_that_end_in_the_clip_have_no_second_system():
+    # an edge spreads a wave's power in the direction of its own normal
+    peaked = wave(0.3, 0.6, waves=8) ** 3
+    for seed, rows in enumerate((150, 190, 220)):
+        rippled = (np.arange(300) < rows)[:, None]
+        found = found_in(image(np.where(rippled, peaked / peaked.mean(), 1.0), seed)).waves
+        strongest = max(found, key=lambda w: w.energy)
+        assert second_system(found, strongest.vector) is None
+
+
+def a_wave(vector, whole=True, energy=1.0):
+    return Wave(np.array(vector), 5.0, energy, whole)
 
 
 def test_bends_parts_and_overtones_are_no_second_system():
@@ -271,5 +281,6 @@ def test_bends_parts_and_overtones_are_no_second_system():
     assert second_system([a_wave([0.95, 0.3])], first) is None
     assert second_system([a_wave([0.5, 0.8], whole=False)], first) is None
     assert second_system([a_wave([2.02, 0.05])], first) is None
+    assert second_system([a_wave(first), a_wave([-0.5, 0.8], energy=1e-3)], first) is None
     found = second_system([a_wave([0.95, 0.3]), a_wave([-0.5, 0.8])], first)
     np.testing.assert_array_equal(found.vector, [-0.5, 0.8])

@@ -307,7 +307,7 @@ def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
 
 
 def test_waves_of_unlike_heights_widen_height_and_frequency():
-    alike, few, many = (estimation._varying(SimpleNamespace(misfit=m)) for m in (0.01, 0.1, 0.2))
+    alike, few, many = (estimation._varying(SimpleNamespace(unlike=u)) for u in (0.01, 0.05, 0.1))
     assert alike == 0.0
     assert 0.05 < few < many
 
@@ -316,7 +316,7 @@ def test_an_edge_of_the_ripples_widens_frequency():
     image = SimpleNamespace(pixel_size=0.025, valid=np.ones((500, 500), bool))
     geometry = SimpleNamespace(along=1.0, across=0.0)
     phase = SimpleNamespace(rigid=True)
-    fit = SimpleNamespace(geometry=geometry, misfit=0.0, phase=phase)
+    fit = SimpleNamespace(geometry=geometry, unlike=0.0, phase=phase)
     filled, half, third = (estimation._stretch(fit, image, f) for f in (0.98, 0.5, 0.3))
     assert filled == 0.0
     assert half == pytest.approx(estimation.EDGE_TURN / 6.25)
