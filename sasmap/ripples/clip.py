@@ -69,10 +69,6 @@ class Clip:
             ``look_azimuth`` (degrees), each of one or two dimensions or a scalar; computed here if
             lazy.
 
-        Returns
-        -------
-        Clip
-
         Raises
         ------
         ValueError

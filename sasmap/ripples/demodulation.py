@@ -82,10 +82,6 @@ def demodulate(image: Image, wave: FloatArray) -> BoxSums:
     image : Image
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m.
-
-    Returns
-    -------
-    BoxSums
     """
     per_column, per_row = (float(v) for v in image.per_pixel(wave))
     pixels = 1 / np.hypot(per_column, per_row)
@@ -186,10 +182,6 @@ def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
     boxes : BoxSums
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m, whose phase differs little over a box.
-
-    Returns
-    -------
-    BoxSums
     """
     along, across = box_places(image, boxes)
     change = wave - boxes.wave
@@ -207,10 +199,6 @@ def turned_back(image: Image, boxes: BoxSums, lag: tuple[FloatArray, FloatArray]
     lag : tuple of ndarray (n,)
         Ground ranges, m, increasing, and the ripple's phase at which the fundamental peaks there,
         rad.
-
-    Returns
-    -------
-    BoxSums
     """
     along, _ = box_places(image, boxes)
     phase = np.interp(image.mean_range + along, *lag)

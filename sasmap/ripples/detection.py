@@ -181,10 +181,6 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     image : Image
     bounds : tuple of float
         Frequencies to search, cycles/m.
-
-    Returns
-    -------
-    Found
     """
     flat, gains = flattened(image)
     peaks = clip_peaks(flat, image.valid)

@@ -42,10 +42,6 @@ def ess_bulk(draws: FloatArray) -> float:
     Parameters
     ----------
     draws : ndarray (chain, draw)
-
-    Returns
-    -------
-    float
     """
     return _ess(_rank_normalised(_split(draws))) if _usable(draws) else float("nan")
 
@@ -56,10 +52,6 @@ def ess_tail(draws: FloatArray) -> float:
     Parameters
     ----------
     draws : ndarray (chain, draw)
-
-    Returns
-    -------
-    float
     """
     if not _usable(draws):
         return float("nan")

@@ -59,10 +59,6 @@ def linearised(fit: Fit) -> Fit:
     A shadow's edge moves with the height: linear about equal heights, the errors of a height that
     changes do not fit what it does to the edge, and bias A_H.
 
-    Parameters
-    ----------
-    fit : Fit
-
     Returns
     -------
     Fit
@@ -98,14 +94,6 @@ def with_errors(fit: Fit) -> Fit:
     family, and heights that change over range; where a phase field is followed, also that the
     pulse of crests of many wavelengths and directions differs from that of their mean. About those
     that the geometry contains they are integrated out to second order.
-
-    Parameters
-    ----------
-    fit : Fit
-
-    Returns
-    -------
-    Fit
     """
     data, geometry = fit.data, fit.geometry
     fitted = np.zeros(0)
@@ -128,14 +116,6 @@ def with_fixed_parameters(fit: Fit) -> Histogram:
     """Return the histogram with, further, the errors of parameters that are fitted but not sampled.
 
     Blur and noise slope are integrated out about their fitted values, to second order.
-
-    Parameters
-    ----------
-    fit : Fit
-
-    Returns
-    -------
-    Histogram
     """
     shapes, free = [fit.data.errors], [NOISE_SLOPE, BLUR]
     for i in free:

@@ -82,10 +82,6 @@ def ripple_extent(image: Image, wave: FloatArray, own: float | None = None) -> E
         Wave vector (east, north), cycles/m.
     own : float, optional
         `Extent.own` of the cell in which the ripples were found, if that is another cell.
-
-    Returns
-    -------
-    Extent
     """
     boxes = demodulate(image, wave)
     field, probability, own = _local(image, boxes, own)

@@ -104,10 +104,6 @@ def fit_wave(task: Task, wave: FloatArray) -> Fit:
     wave : ndarray (2,)
         Wave vector of the spectrum's peak, (east, north), cycles/m.
 
-    Returns
-    -------
-    Fit
-
     Raises
     ------
     NoPlaceError
@@ -246,10 +242,6 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
         With all pixels of weight 1.
     pixel_size : float
         m.
-
-    Returns
-    -------
-    Fit
     """
     weight = bin_weights(fit, whole, pixel_size)
     # where the published model is asked for, it is taken at its word

@@ -115,10 +115,6 @@ def _places(count: int) -> FloatArray:
 def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
     """Remove trend and gains of pings from a clip's amplitude.
 
-    Parameters
-    ----------
-    image : Image
-
     Returns
     -------
     flat : ndarray (rows, columns)

@@ -72,10 +72,6 @@ def histogram(
     phase : PhaseField
     published : bool
         Whether Zare and Cobb's model is fitted.
-
-    Returns
-    -------
-    Histogram
     """
     used = image.valid & phase.pixels(phase.covered, image.shape)
     along = float(phase.wave @ image.look)

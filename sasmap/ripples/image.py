@@ -146,10 +146,6 @@ def _saturated(amplitude: FloatArray, valid: BoolArray) -> BoolArray:
 def lattice(clip: Clip) -> tuple[FloatArray, FloatArray]:
     """Fit a straight lattice to the positions of a clip's pixels.
 
-    Parameters
-    ----------
-    clip : Clip
-
     Returns
     -------
     steps : ndarray (2, 2)

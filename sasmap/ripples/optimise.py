@@ -106,11 +106,6 @@ def glance(data: Histogram, geometry: Geometry) -> list[Peak]:
 def search(data: Histogram, geometry: Geometry) -> list[Peak]:
     """Find the likeliest peaks: scan, then Fisher scoring.
 
-    Parameters
-    ----------
-    data : Histogram
-    geometry : Geometry
-
     Returns
     -------
     list of Peak
@@ -172,10 +167,6 @@ def fisher_scoring(
         At most.
     free : ndarray of int, optional
         Coordinates to climb in; by default all that are estimated.
-
-    Returns
-    -------
-    Peak
     """
     free = free_coordinates(geometry) if free is None else free
     z, level = start.copy(), log_posterior(start, data, geometry)

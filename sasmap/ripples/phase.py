@@ -133,10 +133,6 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     image : Image
     boxes : BoxSums
         Demodulated at the wave.
-
-    Returns
-    -------
-    PhaseField
     """
     covered = covered_boxes(image, boxes)
     one = np.ones(boxes.count.shape, complex)
@@ -190,10 +186,6 @@ def trial_fields(boxes: BoxSums) -> FieldTrials:
     ----------
     boxes : BoxSums
         Demodulated at a refined wave.
-
-    Returns
-    -------
-    FieldTrials
     """
     stripes = boxes.stripes
     row, column = (np.indices(boxes.count.shape) + 0.5) * boxes.size
@@ -232,18 +224,7 @@ def _unit(values: ComplexArray) -> ComplexArray:
 
 
 def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
-    """Return the phase field that predicts the clip best.
-
-    Parameters
-    ----------
-    image : Image
-    boxes : BoxSums
-    trials : FieldTrials
-
-    Returns
-    -------
-    PhaseField
-    """
+    """Return the phase field that predicts the clip best."""
     best = int(np.argmax(trials.scores / STRAIGHT))
     even, odd, both = (f[best] for f in (trials.even, trials.odd, trials.both))
     covered = covered_boxes(image, boxes)

@@ -89,10 +89,6 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     valid : ndarray of bool (rows, columns)
     per_pixel : ndarray (2,)
         Cycles per column and row.
-
-    Returns
-    -------
-    Extents
     """
     wave = float(per_pixel[0]), float(per_pixel[1])
     width = _width(flat.shape, wave)
@@ -119,10 +115,6 @@ def _step(mean: NDArray[np.complex128], speckle: FloatArray) -> float:
         Complex amplitude of boxes, 0 where a box has too few pixels.
     speckle : ndarray (rows, columns)
         Mean square amplitude of speckle in a box, 0 where it has too few pixels.
-
-    Returns
-    -------
-    float
     """
     both = (speckle[1:] > 0) & (speckle[:-1] > 0)
     here, there = mean[1:][both], mean[:-1][both]
@@ -148,10 +140,6 @@ def contrast_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> fl
     ----------
     flat, valid, per_pixel
         As for :func:`extents`.
-
-    Returns
-    -------
-    float
     """
     size = max(round(1 / float(np.hypot(*per_pixel))), 2)
     turned, count = box_sums(flat, valid, float(per_pixel[0]), float(per_pixel[1]), size)

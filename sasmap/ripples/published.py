@@ -56,10 +56,6 @@ class PublishedData(NamedTuple):
 def normalise(clip: Clip) -> FloatArray:
     """Filter and scale a clip's amplitudes as published.
 
-    Parameters
-    ----------
-    clip : Clip
-
     Returns
     -------
     ndarray (rows, columns)
@@ -174,12 +170,6 @@ def sample_published(
     clip: Clip, prior: Prior, rng: np.random.Generator
 ) -> tuple[FloatArray, float]:
     """Run the published sampler on a clip: one chain from the published start.
-
-    Parameters
-    ----------
-    clip : Clip
-    prior : Prior
-    rng : Generator
 
     Returns
     -------

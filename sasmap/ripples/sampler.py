@@ -138,10 +138,6 @@ def metropolis_hastings(
         Points of finite log density.
     steps : int
     rng : Generator
-
-    Returns
-    -------
-    Chains
     """
     chains, size = starts.shape
     points = proposal.draw(chains * steps, rng)

@@ -373,10 +373,6 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
     flat : ndarray (rows, columns)
         Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
-
-    Returns
-    -------
-    list of Peak
     """
     shape = flat.shape[0], flat.shape[1]
     groups: dict[tuple[int, int], list[Part]] = {}
@@ -421,10 +417,6 @@ def within_reach(one: FloatArray, other: FloatArray) -> bool:
     ----------
     one, other : ndarray (2,)
         Cycles per column and row.
-
-    Returns
-    -------
-    bool
     """
     lengths = float(np.hypot(*one)), float(np.hypot(*other))
     cosine = min(abs(float(one @ other)) / (lengths[0] * lengths[1]), 1.0)
