@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
-from sasmap.ripples.errors import lag_per_height, turned_by_errors, with_fixed_parameters
+from sasmap.ripples.errors import (
+    lag_per_height,
+    turned_by_errors,
+    with_fixed_parameters,
+)
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
@@ -45,9 +49,10 @@ MIN_PIXELS = 400
 # Largest noise factor that correlated speckle explains, and error of log A_H for each factor of e
 # beyond it: small ripples on large ones (pipelines/studies/beds.py).
 MISFIT = (4.0, 0.2)
-# Spread of log A_H from place to place that remains where all waves have one height, and error of
-# log A_H per unit beyond it (pipelines/studies/varying.py).
-ONE_HEIGHT, VARYING = 0.01, 3.0
+# Spread of log A_H from place to place that remains where all waves have one height. Beyond it, for
+# each unit, how much too low log A_H is on average, its error, and how much single waves differ
+# (pipelines/studies/varying.py).
+ONE_HEIGHT, TOO_LOW, VARYING, OF_WAVES = 0.01, 2.2, 1.6, 3.0
 # Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
 # certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
@@ -335,6 +340,10 @@ def _labelled(
     # crests seen square-on fall on the same pixels in every row: that error does not average out
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
     tilt = float(np.sqrt(fit.tilt**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
+    # what A_H differs by from the draws turns the phase as well
+    error = _added_error(fit, named["height"], crossing)
+    change = TOO_LOW * _unlike(fit) + error * rng.standard_normal(shape) - 0.5 * error**2
+    slope = slope + line_of_lags(lag_per_height(fit), fit.data)[0] / (2 * np.pi) * change
     along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
     along, across = along * stretch, across * stretch
@@ -345,26 +354,28 @@ def _labelled(
     turns = np.floor(azimuth.mean() / 180.0)
     # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
-    error = np.hypot(_height_error(fit), crossing)
-    height = float(named["height"].mean())
-    known = min(fit.geometry.steepness_sd, fit.geometry.height_sd / height)  # of log A_H, a priori
-    most = (UNKNOWN * known) ** 2 - float(np.log(named["height"]).var())
-    error = min(error, np.sqrt(max(most, 0.0)))
-    # of mean 1
-    named["height"] *= np.exp(error * rng.standard_normal(shape) - 0.5 * error**2)
+    named["height"] *= np.exp(change)
     frequency = np.hypot(along, across)
     return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
+
+
+def _added_error(fit: Fit, height: FloatArray, crossing: float) -> float:
+    """Error of log A_H to add to draws, which leaves no less known than a part of the prior."""
+    known = min(fit.geometry.steepness_sd, fit.geometry.height_sd / float(height.mean()))
+    most = (UNKNOWN * known) ** 2 - float(np.log(height).var())
+    return float(min(np.hypot(_height_error(fit), crossing), np.sqrt(max(most, 0.0))))
 
 
 def _height_error(fit: Fit) -> float:
     """Error of log A_H where the image contains something that the model lacks."""
     largest, per_log = MISFIT
-    return float(np.hypot(_varying(fit), per_log * max(np.log(fit.noise_factor / largest), 0.0)))
+    other = per_log * max(np.log(fit.noise_factor / largest), 0.0)
+    return float(np.hypot(VARYING * _unlike(fit), other))
 
 
-def _varying(fit: Fit) -> float:
-    """Error of log A_H where heights vary between single waves or parts of the clip."""
-    return VARYING * max(fit.unlike - ONE_HEIGHT, 0.0)
+def _unlike(fit: Fit) -> float:
+    """Spread of log A_H from place to place beyond that of equal waves."""
+    return max(fit.unlike - ONE_HEIGHT, 0.0)
 
 
 def _stretch(fit: Fit, image: Image, fraction: float) -> float:
@@ -384,7 +395,7 @@ def _stretch(fit: Fit, image: Image, fraction: float) -> float:
 
 def _turn_of_heights(fit: Fit) -> float:
     """Spread of the image's phase from wave to wave due to their heights, cycles."""
-    spread = _varying(fit) if fit.phase.rigid else 0.0
+    spread = OF_WAVES * _unlike(fit) if fit.phase.rigid else 0.0
     if spread == 0.0:
         return 0.0
     return float(spread * np.sqrt(np.mean(lag_per_height(fit) ** 2)) / (2 * np.pi))

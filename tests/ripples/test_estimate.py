@@ -306,10 +306,16 @@ def test_an_error_of_the_model_leaves_no_less_known_than_the_prior(monkeypatch):
     assert 0.6 * prior < spread < 0.9 * prior
 
 
-def test_waves_of_unlike_heights_widen_height_and_frequency():
-    alike, few, many = (estimation._varying(SimpleNamespace(unlike=u)) for u in (0.01, 0.05, 0.1))
-    assert alike == 0.0
-    assert 0.05 < few < many
+def test_waves_of_unlike_heights_raise_and_widen_height(monkeypatch):
+    # a model of one height is dark where a lower wave is lit, which a lower height makes up for
+    made = cell(6, near=6.0)
+    alike = estimate(made.clip, DEFAULT, rng=1)
+    monkeypatch.setattr(estimation, "_unlike", lambda fit: 0.1)
+    unlike = estimate(made.clip, DEFAULT, rng=1)
+    ratio = np.log(unlike.draws.height).mean() - np.log(alike.draws.height).mean()
+    assert 0.15 < float(ratio) < 0.25
+    assert float(np.log(unlike.draws.height).std()) > 0.2
+    assert float(unlike.draws.frequency.std()) > float(alike.draws.frequency.std())
 
 
 def test_an_edge_of_the_ripples_widens_frequency():
