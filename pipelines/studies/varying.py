@@ -4,9 +4,10 @@
 
 Cells of 500 x 500 pixels of 2.5 cm by the coherent simulator: f 0.6 to 1.4 cycles/m, steepness 0.05
 to 0.15, looks up to 45 degrees off the crest normal, 5 to 32 m of range, five scattering laws. The
-log of the height of single waves has a standard deviation of 0, 0.1 or 0.2; or all are alike and
-the ripples end within the cell, over a tenth of a metre. The truth is the mean height over the
-rippled floor, and f of the wave.
+log of the height of single waves has a standard deviation of 0, 0.1 or 0.2; or waves come in groups
+of 4 to 7, down to 0.3 of the highest; or heights double across the look over the cell; or all are
+alike and the ripples end within the cell, over a tenth of a metre. The truth is the mean height
+over the rippled floor, and f of the wave.
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ SIZE, PIXEL = 500, 0.025
 LAWS = (
     "lambert", "gaussian", "rough", {"exponent": 1.0}, {"exponent": 1.5, "concentration": 0.4},
 )  # fmt: skip
-# Spread of the log of heights, and whether the ripples end within the cell.
+# Spread of the log of heights of single waves, and what else varies.
 KINDS = {
-    "all alike": (0.0, False),
-    "heights vary by 10 %": (0.1, False),
-    "heights vary by 20 %": (0.2, False),
-    "field ends in the cell": (0.0, True),
+    "all alike": (0.0, ""),
+    "heights vary by 10 %": (0.1, ""),
+    "heights vary by 20 %": (0.2, ""),
+    "waves in groups": (0.0, "groups"),
+    "heights double across the look": (0.0, "ramp"),
+    "field ends in the cell": (0.0, "end"),
 }
 
 
@@ -46,7 +49,7 @@ class Row(NamedTuple):
 
 def draw(seed: int, kind: str) -> tuple[Clip, float, float]:
     """Draw a cell: its clip, f and mean A_H."""
-    spread, ends = KINDS[kind]
+    spread, also = KINDS[kind]
     rng = np.random.default_rng([seed, 77])
     grid = grid_around(SIZE, PIXEL)
     frequency, turn = rng.uniform(0.6, 1.4), np.radians(90 + rng.uniform(-45, 45))
@@ -59,9 +62,14 @@ def draw(seed: int, kind: str) -> tuple[Clip, float, float]:
     part = cycles - number
     smooth = part * part * (3 - 2 * part)
     heights = own[number] * (1 - smooth) + own[number + 1] * smooth
+    if also == "groups":
+        turn_of_group = np.pi * cycles / rng.uniform(4, 7) + rng.uniform(0, 6)
+        heights = heights * (0.3 + 0.7 * np.cos(turn_of_group) ** 2)
+    elif also == "ramp":
+        heights = heights * 2 ** (rng.choice([-1, 1]) * (y / (SIZE * PIXEL) - 0.5))
     sonar = {"near": rng.uniform(5, 32), "altitude": rng.uniform(3, 8), "law": LAWS[seed % 5]}
     rippled = np.ones(x.shape)
-    if ends:
+    if also == "end":
         share, across = rng.uniform(0.35, 0.75), seed % 2
         rippled = 1 / (1 + np.exp(((y if across else x) - share * SIZE * PIXEL) / 0.1))
     bed = rippled * heights * (np.sin(2 * np.pi * cycles) - peaked * np.cos(4 * np.pi * cycles))

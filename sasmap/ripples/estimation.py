@@ -50,9 +50,9 @@ MIN_PIXELS = 400
 # beyond it: small ripples on large ones (pipelines/studies/beds.py).
 MISFIT = (4.0, 0.2)
 # Spread of log A_H from place to place that remains where all waves have one height. Beyond it, for
-# each unit, how much too low log A_H is on average, its error, and how much single waves differ
-# (pipelines/studies/varying.py).
-ONE_HEIGHT, TOO_LOW, VARYING, OF_WAVES = 0.01, 2.2, 1.6, 3.0
+# each unit, how much too low log A_H is on average, its error, and how much single waves differ;
+# the most by which it is raised, as taller groups weigh more (pipelines/studies/varying.py).
+ONE_HEIGHT, TOO_LOW, VARYING, OF_WAVES, MOST_LOW = 0.01, 2.2, 2.0, 3.0, 0.4
 # Rippled share of a clip above which it counts as filled, and below which an edge of the ripples
 # certainly lies in it; cycles by which that edge turns the phase (pipelines/studies/varying.py).
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
@@ -342,7 +342,8 @@ def _labelled(
     tilt = float(np.sqrt(fit.tilt**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
     # what A_H differs by from the draws turns the phase as well
     error = _added_error(fit, named["height"], crossing)
-    change = TOO_LOW * _unlike(fit) + error * rng.standard_normal(shape) - 0.5 * error**2
+    low = min(TOO_LOW * _unlike(fit), MOST_LOW)
+    change = low + error * rng.standard_normal(shape) - 0.5 * error**2
     slope = slope + line_of_lags(lag_per_height(fit), fit.data)[0] / (2 * np.pi) * change
     along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
