@@ -16,7 +16,7 @@ from sasmap.ripples.rendering import Histogram
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Least pixels of a square of one wavelength, as a share of a full one.
+# Least pixels of a square of one wavelength, as a share of a full one, for it to be used (a choice).
 FILLED = 0.3
 
 
@@ -66,12 +66,12 @@ def spread_of_heights(image: Image, fit: Fit, whole: Histogram, used: BoolArray)
     told, noise = summed(weight * slope**2), fit.noise_factor * summed((weight * slope) ** 2)
     pixels = np.bincount(square)
     filled = (pixels > FILLED * size**2) & (told > 0)
+    left = int(filled.sum()) - len(HEIGHT_TREND) - 1
+    if left <= 0:
+        return 0.0
     place = np.bincount(square, image.project(image.look)[used])[filled] / pixels[filled]
     place = (place - place.min()) / max(float(np.ptp(place)), 1e-9)
     trend = np.cos(np.pi * place[:, None] * np.arange(len(HEIGHT_TREND) + 1))
-    left = place.size - trend.shape[1]
-    if left <= 0:
-        return 0.0
     pull, told, root = pull[filled], told[filled], np.sqrt(told[filled])
     known = np.linalg.lstsq(trend * root[:, None], pull / root)[0]
     rest = np.abs(pull / told - trend @ known)
