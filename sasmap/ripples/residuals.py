@@ -16,7 +16,7 @@ from sasmap.ripples.rendering import Histogram
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Least pixels of a square of one wavelength, as a share of a full one, for it to be used (a choice).
+# Least pixels of a square of one wavelength over those of a full one, for it to be used (a choice).
 FILLED = 0.3
 
 
