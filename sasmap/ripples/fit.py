@@ -216,7 +216,8 @@ def refined(task: Task, fit: Fit) -> Fit:
     fit = fit._replace(peaks=found)
     fit = reweighted(fit, whole, image.pixel_size) if another else fit
     tilt = slope_error(fit, whole, image.pixel_size)
-    unlike = spread_of_heights(image, fit, whole, used)
+    # where the published model is asked for, it is taken at its word
+    unlike = 0.0 if task.published else spread_of_heights(image, fit, whole, used)
     across = across_look(image, fit, whole, used)
     return fit._replace(unlike=unlike, tilt=tilt, across=across)
 
