@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
-from sasmap.ripples.errors import (
-    lag_per_height,
-    turned_by_errors,
-    with_fixed_parameters,
-)
+from sasmap.ripples.errors import lag_per_height, turned_by_errors, with_fixed_parameters
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip

@@ -55,14 +55,15 @@ def spread_of_heights(image: Image, fit: Fit, whole: Histogram, used: BoolArray)
     lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
     slope, weight = (higher - lower) / (2 * HEIGHT_STEP), _weight(fit, whole)
     size = 1 / float(np.hypot(*image.per_pixel(fit.phase.wave)))
-    row, column = (place[used] // size for place in np.indices(image.shape))
-    square = np.unique(row * max(image.shape) + column, return_inverse=True)[1]
+    row, column = ((place[used] / size).astype(int) for place in np.indices(image.shape))
+    square = row * (int(image.shape[1] / size) + 1) + column
 
-    def summed(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(square, spread_bins(image, fit, used, values)[used]))
+    def summed(values: FloatArray, times: FloatArray | float = 1.0) -> FloatArray:
+        """Sum values of bins over the pixels of each square, each times a value of the pixel."""
+        painted_values = spread_bins(image, fit, used, values)[used]
+        return np.asarray(np.bincount(square, times * painted_values))
 
-    residual = _relative(image, fit, with_fitted_errors(fit), used)
-    pull = np.bincount(square, residual * spread_bins(image, fit, used, weight * slope)[used])
+    pull = summed(weight * slope, _relative(image, fit, with_fitted_errors(fit), used))
     told, noise = summed(weight * slope**2), fit.noise_factor * summed((weight * slope) ** 2)
     pixels = np.bincount(square)
     filled = (pixels > FILLED * size**2) & (told > 0)
