@@ -102,6 +102,16 @@ def test_light_as_bright_as_the_clip_where_shadow_is_foretold_counts():
     assert worth(wrong) < 0.1 * worth(plain)
 
 
+def test_what_the_errors_of_the_law_explain_is_no_misfit():
+    exact = fit_of(6, np.ones((6, BINS)))
+    law = exact.geometry._replace(law_error=np.array([0.0, 0.3, 0.3, -0.3, 0.0, 0.0]))
+    seen = expected_at(exact._replace(geometry=law), exact.z)[0]
+    other = exact.data._replace(intensity_sum=exact.data.pixel_count * seen)
+    wrong = exact._replace(data=other)
+    before = misfit(wrong)
+    assert misfit(with_errors(wrong)) < 0.3 * before
+
+
 def with_trend(fit, height, change):
     """The fit's histogram of ripples whose log height changes over range, block by block."""
     across = (fit.data.place - fit.data.place.min()) / np.ptp(fit.data.place)
