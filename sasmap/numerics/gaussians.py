@@ -63,6 +63,51 @@ def expectation_maximisation(
     return mixture, share, level
 
 
+def fitted_mixture(
+    points: FloatArray, most: int, effective: float, floor: float, rounds: int, enough: float
+) -> Mixture:
+    """Fit a mixture to points of equal weight, with as many components as they need.
+
+    Parameters
+    ----------
+    points : ndarray (n, size)
+    most : int
+        Largest number of components.
+    effective : float
+        Effective number of independent points.
+    floor : float
+        Least variance of a component over that of all points.
+    rounds, enough
+        As for :func:`expectation_maximisation`.
+
+    Returns
+    -------
+    Mixture
+        The number of components is chosen by the Bayesian information criterion.
+    """
+    centre = points.mean(axis=0)
+    scale = np.maximum(points.std(axis=0), 1e-12 * np.maximum(np.abs(centre), 1e-6))
+    z = (points - centre) / scale
+    size = z.shape[1]
+    # start from slices along the coordinate in which the points are least Gaussian
+    skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
+    order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
+    found: list[Mixture] = []
+    best = -np.inf
+    for n in range(1, most + 1):
+        share = ((order * n // len(z))[:, None] == np.arange(n)).astype(float)
+        least = np.full(size, floor)
+        mixture, _, level = expectation_maximisation(z, share, least, rounds, enough)
+        cost = n * (1 + size + size * (size + 1) / 2)
+        score = effective * level - 0.5 * cost * np.log(effective)
+        if found and score <= best:
+            break
+        best = score
+        found.append(mixture)
+    weight, mean, covariance = found[-1]
+    return Mixture(weight, centre + scale * mean, covariance * (scale[:, None] * scale))
+
+
 def _maximised(points: FloatArray, share: FloatArray, floor: FloatArray) -> Mixture:
     total = np.maximum(share.sum(axis=0), 1e-9)
     mean = (share.T @ points) / total[:, None]

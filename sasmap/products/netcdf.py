@@ -263,7 +263,8 @@ def _known_fields(cells: Cells, chains: FusedCells, shape: tuple[int, ...]) -> d
     apart = _values(cells, shape, lambda c, k: chains[c].disagreements[k])
     about = "squared distance from the other passes; chi-squared, 3 degrees of freedom by chance"
     variables["disagreement"] = (_DIMS, apart, {"units": "1", "long_name": about})
-    for i, (name, what) in enumerate((("migration", "distance"), ("migration_sd", "its sd"))):
+    moves = ("migration", "distance"), ("migration_sd", "standard deviation of the distance")
+    for i, (name, what) in enumerate(moves):
         moved = _values(cells, shape, lambda c, k, i=i: chains[c].migration[k][i])
         about = f"{what} of the crests from those of the first pass used, along the azimuth, "
         about += "up to whole wavelengths"

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.numerics.gaussians import Mixture, expectation_maximisation, log_densities
+from sasmap.numerics.gaussians import Mixture, fitted_mixture
 
 FloatArray = NDArray[np.float64]
 
@@ -47,40 +47,8 @@ def fit_mixture(points: FloatArray) -> Mixture:
     Mixture
         With one to three components, chosen by the Bayesian information criterion.
     """
-    points = points[:: -(-len(points) // USED)]
-    centre = points.mean(axis=0)
-    scale = np.maximum(points.std(axis=0), 1e-12 * np.maximum(np.abs(centre), 1e-6))
-    z = (points - centre) / scale
-    size = z.shape[1]
-    parameters = 1 + size + size * (size + 1) / 2
-    best, best_score = _moments(z), -np.inf
-    for n in range(1, MOST + 1):
-        mixture, level = _fitted(z, n)
-        score = EFFECTIVE * level - 0.5 * n * parameters * np.log(EFFECTIVE)
-        if score <= best_score:
-            break
-        best, best_score = mixture, score
-    outer = scale[:, None] * scale
-    return Mixture(best.weight, centre + scale * best.mean, best.covariance * outer)
-
-
-def _moments(z: FloatArray) -> Mixture:
-    covariance = np.cov(z.T) + np.diag(np.full(z.shape[1], FLOOR))
-    return Mixture(np.ones(1), z.mean(axis=0)[None], covariance[None])
-
-
-def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
-    """Fit n components; return the mean log likelihood as well."""
-    if n == 1:
-        mixture = _moments(z)
-        return mixture, float(log_densities(z, mixture)[:, 0].mean())
-    # start from slices along the coordinate in which the draws are least Gaussian
-    skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
-    order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
-    share = (order * n // len(z))[:, None] == np.arange(n)
-    floor = np.full(z.shape[1], FLOOR)
-    mixture, _, level = expectation_maximisation(z, share.astype(float), floor, ROUNDS, ENOUGH)
-    return mixture, level
+    some = points[:: -(-len(points) // USED)]
+    return fitted_mixture(some, MOST, EFFECTIVE, FLOOR, ROUNDS, ENOUGH)
 
 
 class Marginal(NamedTuple):

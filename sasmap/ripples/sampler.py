@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from sasmap.numerics.gaussians import Mixture, expectation_maximisation, fill_squares
+from sasmap.numerics.gaussians import Mixture, fill_squares, fitted_mixture
 
 FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
@@ -310,20 +310,8 @@ def fit_proposal(points: FloatArray, effective: float) -> Proposal:
     Proposal
         The number of components is chosen by the Bayesian information criterion.
     """
-    centre, scale = points.mean(axis=0), points.std(axis=0) + 1e-300
-    z = (points - centre) / scale
-    size = z.shape[1]
-    best, best_score = None, -np.inf
-    for n in range(1, COMPONENTS + 1):
-        mixture, level = _fitted(z, n)
-        cost = n * (1 + size + size * (size + 1) / 2)
-        score = effective * level - 0.5 * cost * np.log(effective)
-        if score <= best_score:
-            break
-        best, best_score = mixture, score
-    assert best is not None
-    outer = WIDENED**2 * scale[:, None] * scale
-    return Proposal(Mixture(best.weight, centre + scale * best.mean, best.covariance * outer))
+    fitted = fitted_mixture(points, COMPONENTS, effective, FLOOR, EM_ROUNDS, EM_ENOUGH)
+    return Proposal(fitted._replace(covariance=WIDENED**2 * fitted.covariance))
 
 
 def refitted(proposal: Proposal, points: FloatArray, effective: float) -> Proposal:
@@ -331,18 +319,6 @@ def refitted(proposal: Proposal, points: FloatArray, effective: float) -> Propos
     if np.unique(points[:, 0]).size <= LEAST_PLACES * points.shape[1]:
         return proposal
     return fit_proposal(points, effective)
-
-
-def _fitted(z: FloatArray, n: int) -> tuple[Mixture, float]:
-    """Fit n components, started from slices along the coordinate that is least Gaussian."""
-    skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
-    order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
-    share = (order * n // len(z))[:, None] == np.arange(n)
-    floor = np.full(z.shape[1], FLOOR)
-    mixture, _, level = expectation_maximisation(
-        z, share.astype(float), floor, EM_ROUNDS, EM_ENOUGH
-    )
-    return mixture, level
 
 
 def population(

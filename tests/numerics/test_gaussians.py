@@ -1,6 +1,12 @@
 import numpy as np
+import pytest
 
-from sasmap.numerics.gaussians import Mixture, expectation_maximisation, log_densities
+from sasmap.numerics.gaussians import (
+    Mixture,
+    expectation_maximisation,
+    fitted_mixture,
+    log_densities,
+)
 
 TRUE = Mixture(
     np.array([0.3, 0.7]),
@@ -34,3 +40,25 @@ def test_the_floor_keeps_components_from_a_point():
     np.testing.assert_allclose(found.covariance[0], 0.04 * np.eye(2))
     np.testing.assert_allclose(level, log_densities(points, found)[0, 0])
     np.testing.assert_allclose(level, -np.log(2 * np.pi * 0.04))
+
+
+@pytest.mark.parametrize("apart", [0.0, 6.0])
+def test_a_mixture_has_as_many_components_as_the_points_need(apart):
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(2000, 3)) * [1.0, 1e-3, 1e3] + [5.0, 0.0, -1e4]
+    points[:, 0] += apart * (rng.random(2000) < 0.3)
+    found = fitted_mixture(points, 4, 400.0, 1e-4, 80, 1e-6)
+    assert found.weight.size == (2 if apart else 1)
+    spread = found.covariance + found.mean[:, :, None] * found.mean[:, None, :]
+    mean = found.weight @ found.mean
+    whole = np.einsum("k,kij->ij", found.weight, spread) - np.outer(mean, mean)
+    np.testing.assert_allclose(mean, points.mean(axis=0), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(np.diag(whole), points.var(axis=0), rtol=0.01)
+
+
+def test_a_coordinate_without_spread_is_kept():
+    points = np.random.default_rng(5).normal(size=(500, 2))
+    points[:, 1] = 3.0
+    found = fitted_mixture(points, 3, 400.0, 1e-4, 80, 1e-6)
+    np.testing.assert_allclose(found.mean[:, 1], 3.0)
+    assert np.isfinite(found.covariance).all()

@@ -127,7 +127,11 @@ def _pings(path: Path, pyxtf: Any) -> tuple[Any, list[Any], list[str]]:
         pings += packets
     except Exception as error:  # broken files raise all kinds of exceptions
         told = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
-        if header is None or len(pings) < FEWEST_PINGS:
+        if header is None:
+            raise InputError(
+                f"{path}: {EXPECTED}; this is another kind of file, or damaged at its start"
+            ) from None
+        if len(pings) < FEWEST_PINGS:
             raise InputError(f"{path}: {EXPECTED}: {told}") from None
         return (
             header,

@@ -170,11 +170,14 @@ def test_a_file_that_breaks_off_is_used_so_far(tmp_path):
 def test_what_is_no_recording_is_one_line(tmp_path, capsys):
     pytest.importorskip("pyxtf")
     path = tmp_path / "line.xtf"
-    for content in (b"", b"hello", bytes(range(256)) * 40):
+    table = b"time,easting,northing\n2026-01-01T00:00:00,1,2\n"
+    for content in (b"", b"hello", table, 40 * table, bytes(range(256)) * 40):
         path.write_bytes(content)
         assert main(["tiles", str(path), "--output", str(tmp_path / "out")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert "line.xtf" in line
+        assert "expected a" in line
+        assert "Error" not in line
     assert main(["tiles", str(tmp_path / "none.xtf"), "--output", str(tmp_path / "out")]) == 2
     assert "no such file" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,0 +1,129 @@
+"""What it costs that errors of law, profile and heights are integrated out, not sampled.
+
+    python pipelines/ripples/sampled_errors.py [--draws 110] [--workers 2]
+
+The likelihood integrates the law's departure from its family, the profile's third harmonic and
+heights that change over range out to second order, about the fit. Here the same posterior is
+sampled with these eleven amplitudes, noise slope and blur as further coordinates, rendered anew at
+every point: 120 chains of 3000 steps by differential evolution (ter Braak and Vrugt 2008), 10 to 30
+times the densities of an estimate. Clips and ranks are those of calibration.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from calibration import LEVELS, draw_parameters, draw_scene, geometry_of, simulate
+
+from sasmap.ripples import Clip, Prior, RippleSettings
+from sasmap.ripples.errors import HEIGHT_TREND, LAW_ERROR, THIRD_HARMONIC
+from sasmap.ripples.estimation import _sampled
+from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
+from sasmap.ripples.image import as_image
+from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE
+from sasmap.ripples.rendered import Fit
+from sasmap.ripples.rendering import log_posterior, named_parameters
+
+LAW, HEIGHTS = len(THIRD_HARMONIC), len(THIRD_HARMONIC) + len(LAW_ERROR)
+SD = np.concatenate([THIRD_HARMONIC, LAW_ERROR, HEIGHT_TREND])
+CHAINS, STEPS, BURN_IN, KEPT = 120, 3000, 1000, 10
+# Shares of the coordinates that a step moves, share of steps between modes, points of the archive.
+MOVED, JUMP, ARCHIVE = (0.15, 0.4, 1.0), 0.1, 20_000
+
+
+class Result(NamedTuple):
+    """Of a clip: rank of the true A_H, and standard deviation of its log, both ways."""
+
+    rank: tuple[float, float]
+    sd: tuple[float, float]
+
+
+@numba.njit
+def log_densities(points, sd, data, geometry):  # type: ignore[no-untyped-def]
+    """Log posterior density of coordinates and amplitudes (n, COORDINATES + amplitudes)."""
+    values = np.empty(len(points))
+    for i in range(len(points)):
+        amplitude = points[i, COORDINATES:]
+        geometry.third_harmonic[:] = sd[:LAW] * amplitude[:LAW]
+        geometry.law_error[:] = sd[LAW:HEIGHTS] * amplitude[LAW:HEIGHTS]
+        geometry.height_trend[:] = sd[HEIGHTS:] * amplitude[HEIGHTS:]
+        values[i] = log_posterior(points[i, :COORDINATES].copy(), data, geometry)
+        values[i] -= 0.5 * np.sum(amplitude**2)
+    return values
+
+
+def sampled_with_errors(fit: Fit, draws: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw coordinates (n, COORDINATES), from draws of the integrated posterior as a start."""
+    data = fit.data._replace(errors=fit.data.errors[:0])
+    copied = ("law_error", "third_harmonic", "height_trend")
+    geometry = fit.geometry._replace(**{k: getattr(fit.geometry, k).copy() for k in copied})
+    start = rng.choice(draws.reshape(-1, COORDINATES), CHAINS)
+    start[:, [NOISE_SLOPE, BLUR]] += 0.3 * rng.standard_normal((CHAINS, 2))
+    state = np.hstack([start, 0.5 * rng.standard_normal((CHAINS, SD.size))])
+    level = log_densities(state, SD, data, geometry)
+    archive, kept = state.copy(), []
+    size = state.shape[1]
+    for step in range(STEPS):
+        pairs = archive[rng.integers(len(archive), size=(2, CHAINS))]
+        moved = rng.random((CHAINS, size)) < MOVED[rng.integers(len(MOVED))]
+        moved[np.arange(CHAINS), rng.integers(size, size=CHAINS)] = True
+        scale = 2.38 / np.sqrt(2 * moved.sum(axis=1, keepdims=True)) * rng.choice([0.5, 1.0])
+        if rng.random() < JUMP:
+            moved, scale = np.ones_like(moved), np.ones((CHAINS, 1))
+        noise = 1e-5 * rng.standard_normal((CHAINS, size))
+        proposed = state + moved * (scale * (pairs[0] - pairs[1]) + noise)
+        reached = log_densities(proposed, SD, data, geometry)
+        better = np.log(rng.random(CHAINS)) < reached - level
+        state = np.where(better[:, None], proposed, state)
+        level = np.where(better, reached, level)
+        if step % KEPT == 0:
+            archive = np.concatenate([archive[CHAINS if len(archive) > ARCHIVE else 0 :], state])
+            kept += [state[:, :COORDINATES]] if step > BURN_IN else []
+    return np.concatenate(kept)
+
+
+def one(seed: int) -> Result | None:
+    """Draw a clip and rank its true A_H among draws of both posteriors; None if none fits."""
+    rng = np.random.default_rng([seed, 58])
+    scene = draw_scene(rng)
+    geometry = geometry_of(scene, rng)
+    ripple = draw_parameters(geometry, scene.frequency, rng)
+    clip: Clip = simulate(scene, geometry, ripple, rng)
+    settings = RippleSettings()
+    prior = Prior.natural(settings.frequency, settings.height)
+    wave = np.array([geometry.along, -geometry.across])
+    try:
+        fit = fit_wave(Task(as_image(clip), settings, prior, clip.altitude_sd), wave)
+    except NoPlaceError:
+        return None
+    integrated = _sampled(fit, settings, np.random.default_rng(seed))[0]
+    exact = sampled_with_errors(fit, integrated, np.random.default_rng(seed))
+    height = [named_parameters(p, fit.geometry)["height"] for p in (integrated, exact)]
+    ranks = [float(np.mean(h < ripple.height)) for h in height]
+    spreads = [float(np.log(h).std()) for h in height]
+    return Result((ranks[0], ranks[1]), (spreads[0], spreads[1]))
+
+
+def main() -> None:
+    """Print the coverage of both posteriors."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--draws", type=int, default=110)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    with ProcessPoolExecutor(options.workers) as pool:
+        found = [r for r in pool.map(one, range(options.draws)) if r]
+    rank, sd = (np.array([getattr(r, name) for r in found]) for name in ("rank", "sd"))
+    print(f"{len(found)} clips; A_H in intervals of {', '.join(f'{x:.0%}' for x in LEVELS)}")
+    for k, name in enumerate(("errors integrated out", "errors sampled")):
+        cover = [100 * np.mean(np.abs(rank[:, k] - 0.5) <= level / 2) for level in LEVELS]
+        print(f"{name:22s}", *(f"{c:5.1f}" for c in cover))
+    ratio = np.quantile(sd[:, 1] / sd[:, 0], [0.1, 0.5, 0.9])
+    print("sd of log A_H, sampled over integrated out, 10, 50, 90 %:", *(f"{r:.2f}" for r in ratio))
+
+
+if __name__ == "__main__":
+    main()
