@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Least pixels of a square of one wavelength over those of a full one, for it to be used (a choice).
-FILLED = 0.3
+COVERED = 0.3
 
 
 def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tuple[float, float]:
@@ -66,7 +66,7 @@ def spread_of_heights(image: Image, fit: Fit, whole: Histogram, used: BoolArray)
     pull = summed(weight * slope, _relative(image, fit, with_fitted_errors(fit), used))
     told, noise = summed(weight * slope**2), fit.noise_factor * summed((weight * slope) ** 2)
     pixels = np.bincount(square)
-    filled = (pixels > FILLED * size**2) & (told > 0)
+    filled = (pixels > COVERED * size**2) & (told > 0)
     left = int(filled.sum()) - len(HEIGHT_TREND) - 1
     if left <= 0:
         return 0.0

@@ -1,9 +1,11 @@
 """Engine parts that tests build by hand: geometries, histograms without noise, coherent clips."""
 
+from functools import cache
+
 import numpy as np
 
 from sasmap.ripples.demodulation import demodulate
-from sasmap.ripples.fit import Task, clip_geometry
+from sasmap.ripples.fit import Task, clip_geometry, fit_wave
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import as_image
 from sasmap.ripples.phase import straight
@@ -20,6 +22,7 @@ from sasmap.ripples.rendering import (
 from sasmap.ripples.settings import RippleSettings
 from sasmap.simulate import coherent_cell
 
+SHAPE = (200, 200)
 LAMBERT, GAUSSIAN = (2.0, 0.0), (0.0, 3 / np.pi)
 
 
@@ -118,3 +121,13 @@ def summed(clip, wave, settings=None, origin=None, trend=None):
     level = boxes.trend if trend is None else np.full(boxes.trend.shape, trend)
     data = histogram(image, level, phase)
     return image, task, phase, data, clip_geometry(task, phase, data)
+
+
+@cache
+def fitted_cell(seed, turn, **changes):
+    """A fit to a cell whose crest normals are turned from the look; true wave number across it."""
+    changes = {"near": 14.0, "frequency": 0.9, "height": 0.06, "shape": SHAPE} | changes
+    made = coherent(seed, azimuth_off_look=turn, **changes)
+    _, task, *_ = summed(made.clip, made.wave)
+    look = task.image.look
+    return fit_wave(task, made.wave), made.wave @ np.array([look[1], -look[0]])
