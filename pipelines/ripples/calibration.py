@@ -176,13 +176,19 @@ def simulate(
     return Clip(amplitude, x, y, wide, told, look, scene.pixel, ALTITUDE_SD)
 
 
-def one(seed: int) -> Case:
-    """Draw a clip, estimate it and rank its truth."""
+def draw(seed: int) -> tuple[Scene, Parameters, Clip]:
+    """Draw a scene, its ripples and the clip."""
     rng = np.random.default_rng([seed, 58])
     scene = draw_scene(rng)
     geometry = geometry_of(scene, rng)
     ripple = draw_parameters(geometry, scene.frequency, rng)
-    posterior = estimate(simulate(scene, geometry, ripple, rng), RippleSettings(), rng=seed)
+    return scene, ripple, simulate(scene, geometry, ripple, rng)
+
+
+def one(seed: int) -> Case:
+    """Draw a clip, estimate it and rank its truth."""
+    scene, ripple, clip = draw(seed)
+    posterior = estimate(clip, RippleSettings(), rng=seed)
     if not posterior.sampled:
         return Case(np.full(3, np.nan), np.full(3, np.nan), int(posterior.quality))
     azimuth = 90 + np.degrees(scene.turn)
@@ -199,12 +205,17 @@ def distance(ranks: np.ndarray) -> float:
     return float(stats.kstest(ranks, "uniform").statistic)
 
 
+def coverage(ranks: np.ndarray) -> list[float]:
+    """Share of ranks in the intervals of LEVELS, %."""
+    return [100 * float(np.mean(np.abs(ranks - 0.5) <= level / 2)) for level in LEVELS]
+
+
 def report(title: str, cases: list[Case]) -> None:
     """Print one row of the table for each parameter."""
     ranks, errors = np.array([c.ranks for c in cases]), np.array([c.errors for c in cases])
     limit = 1.63 / np.sqrt(len(ranks))  # the 99 % point of Kolmogorov's law
     for i, name in enumerate(NAMES):
-        cover = [100 * np.mean(np.abs(ranks[:, i] - 0.5) <= level / 2) for level in LEVELS]
+        cover = coverage(ranks[:, i])
         spread = np.sqrt(np.median(errors[:, i] ** 2)) / 0.6745
         print(
             f"{title:14s} {name:10s} {len(ranks):5d}  {cover[0]:5.1f} {cover[1]:5.1f} "

@@ -92,20 +92,19 @@ def fitted_mixture(
     # start from slices along the coordinate in which the points are least Gaussian
     skewed = np.abs((z**3).mean(axis=0)) + np.abs((z**4).mean(axis=0) / 3 - 1)
     order = np.argsort(np.argsort(z[:, int(np.argmax(skewed))], kind="stable"), kind="stable")
-    found: list[Mixture] = []
-    best = -np.inf
+    least = np.full(size, floor)
+    best, best_score = None, -np.inf
     for n in range(1, most + 1):
         share = ((order * n // len(z))[:, None] == np.arange(n)).astype(float)
-        least = np.full(size, floor)
         mixture, _, level = expectation_maximisation(z, share, least, rounds, enough)
         cost = n * (1 + size + size * (size + 1) / 2)
         score = effective * level - 0.5 * cost * np.log(effective)
-        if found and score <= best:
+        if best is not None and score <= best_score:
             break
-        best = score
-        found.append(mixture)
-    weight, mean, covariance = found[-1]
-    return Mixture(weight, centre + scale * mean, covariance * (scale[:, None] * scale))
+        best, best_score = mixture, score
+    assert best is not None
+    outer = scale[:, None] * scale
+    return Mixture(best.weight, centre + scale * best.mean, best.covariance * outer)
 
 
 def _maximised(points: FloatArray, share: FloatArray, floor: FloatArray) -> Mixture:

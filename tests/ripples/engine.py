@@ -125,9 +125,8 @@ def summed(clip, wave, settings=None, origin=None, trend=None):
 
 @cache
 def fitted_cell(seed, turn, **changes):
-    """A fit to a cell whose crest normals are turned from the look; true wave number across it."""
+    """A cell whose crest normals are turned from the look, its image and a fit to it."""
     changes = {"near": 14.0, "frequency": 0.9, "height": 0.06, "shape": SHAPE} | changes
     made = coherent(seed, azimuth_off_look=turn, **changes)
     _, task, *_ = summed(made.clip, made.wave)
-    look = task.image.look
-    return fit_wave(task, made.wave), made.wave @ np.array([look[1], -look[0]])
+    return made, task.image, fit_wave(task, made.wave)

@@ -8,14 +8,15 @@ from sasmap.ripples.estimation import ONE_HEIGHT
 from sasmap.ripples.fit import fit_wave
 from sasmap.ripples.optimise import COORDINATES, HEIGHT
 from sasmap.ripples.rendered import expected_at, painted
-from tests.ripples.engine import SHAPE, coherent, fitted_cell, summed
+from tests.ripples.engine import SHAPE, fitted_cell, summed
 
 
 def errors_across(turn):
     """Errors of the wave number across the look over their standard deviations."""
     made = [fitted_cell(seed, turn) for seed in range(60, 70)]
-    assert all(fit.phase.rigid for fit, _ in made)
-    return np.array([(fit.across[0] - truth) / fit.across[1] for fit, truth in made])
+    assert all(fit.phase.rigid for *_, fit in made)
+    told = [(fit.across, cell.wave @ image.beside) for cell, image, fit in made]
+    return np.array([(found - truth) / sd for (found, sd), truth in told])
 
 
 @pytest.mark.parametrize("turn", [3.0, 25.0])
@@ -28,11 +29,7 @@ def test_the_wave_number_across_the_look_scatters_by_its_error(turn):
 
 def uneven(seed, spread, turn=10.0, **changes):
     """Spread of heights fitted to a cell whose single waves are made higher or lower."""
-    changes = {"near": 14.0, "frequency": 0.9, "height": 0.06, "shape": SHAPE} | changes
-    made = coherent(seed, azimuth_off_look=turn, **changes)
-    _, task, *_ = summed(made.clip, made.wave)
-    image = task.image
-    fit = fit_wave(task, made.wave)
+    made, image, fit = fitted_cell(seed, turn, **changes)
     if spread == 0.0:
         return fit.unlike
     rng = np.random.default_rng(seed)
