@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE, line_of_lags
+from sasmap.ripples.optimise import line_of_lags
 from sasmap.ripples.rendered import Fit, expected_at, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
@@ -47,8 +47,6 @@ HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
 ERROR_STEP, SHARES = 0.7, (1.0, 0.5, 0.25)
 # Least share of the mean intensity that is not noise floor, by which errors are scaled.
 LEAST_SIGNAL = 0.01
-# Step of the finite difference for parameters that are not sampled, in their sampling coordinates.
-PARAMETER_STEP = 0.1
 # Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
 FIELD_HARMONIC = 0.03
 
@@ -83,7 +81,7 @@ def _level(fit: Fit, held: slice) -> float:
     """Log posterior of a fit's peak and of some errors at what the geometry contains of them."""
     data, fitted = fit.data, fit.data.error_fitted
     others = np.delete(data.errors, held, axis=0)
-    left = _sharing(data, others, np.delete(fitted, held), data.error_signal)
+    left = sharing(data, others, np.delete(fitted, held), data.error_signal)
     return float(log_posterior(fit.z, left, fit.geometry) - 0.5 * fitted[held] @ fitted[held])
 
 
@@ -109,24 +107,10 @@ def with_errors(fit: Fit) -> Fit:
     if not errors:
         return fit
     signal = max(1.0 - parameters_at(fit.z, geometry).noise, LEAST_SIGNAL)
-    return fit._replace(data=_sharing(data, np.array(errors), fitted, signal))
+    return fit._replace(data=sharing(data, np.array(errors), fitted, signal))
 
 
-def with_fixed_parameters(fit: Fit) -> Histogram:
-    """Return the histogram with, further, the errors of parameters that are fitted but not sampled.
-
-    Blur and noise slope are integrated out about their fitted values, to second order.
-    """
-    shapes, free = [fit.data.errors], [NOISE_SLOPE, BLUR]
-    for i in free:
-        step = PARAMETER_STEP * np.eye(COORDINATES)[i]
-        lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
-        shapes.append((higher - lower)[None] / (2 * PARAMETER_STEP))
-    fitted = np.concatenate([fit.data.error_fitted, fit.z[free]])
-    return _sharing(fit.data, np.concatenate(shapes), fitted, fit.data.error_signal)
-
-
-def _sharing(data: Histogram, errors: FloatArray, fitted: FloatArray, signal: float) -> Histogram:
+def sharing(data: Histogram, errors: FloatArray, fitted: FloatArray, signal: float) -> Histogram:
     """Return a histogram with these errors (errors, blocks, bins), one standard deviation each.
 
     `signal` is the share of the mean intensity that was not noise floor where they were computed.

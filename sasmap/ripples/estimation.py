@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
-from sasmap.ripples.errors import lag_per_height, turned_by_errors, with_fixed_parameters
+from sasmap.ripples.errors import lag_per_height, turned_by_errors
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
+from sasmap.ripples.nuisance import learned, with_drawn, with_integrated
 from sasmap.ripples.optimise import (
     COORDINATES,
     free_coordinates,
@@ -54,8 +55,6 @@ ONE_HEIGHT, TOO_LOW, VARYING, OF_WAVES, MOST_LOW = 0.01, 2.2, 2.0, 3.0, 0.4
 FILLED, EDGE_TURN = (0.95, 0.85), 0.06
 # Largest error of log A_H in total, as a share of its prior standard deviation.
 UNKNOWN = 0.8
-# Draws from which the lag's slope over range is learned.
-LAG_DRAWS = 60
 # Error of log A_H over the amplitude ratio of two sets of crests that cross.
 CROSSING = 2.0
 # Probability above which a wave counts as a ripple.
@@ -290,7 +289,7 @@ def _sampled(
     ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
     coordinates = Coordinates(ridge, fit.geometry)
     rest = coordinates.to_sampling(fit.z)
-    data = with_fixed_parameters(fit)
+    data = with_integrated(fit)
 
     def whole(points: FloatArray) -> FloatArray:
         every = np.broadcast_to(rest, (*points.shape[:-1], COORDINATES)).copy()
@@ -309,7 +308,7 @@ def _sampled(
         return converged(named_parameters(whole(draws), fit.geometry)["height"])
 
     chains, done = sample(log_density, proposal, suffice, settings.chains, settings.draws, rng)
-    return whole(chains.draws), chains.accepted, done
+    return with_drawn(whole(chains.draws), data, fit, rng), chains.accepted, done
 
 
 def _labelled(
@@ -401,16 +400,10 @@ def _turn_of_heights(fit: Fit) -> float:
 def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
     """Compute the lag of the image's phase due to shadow and lean, for each draw.
 
-    Returns its slope over range, cycles/m, and its mean, cycles. Both are nearly linear in the
-    sampling coordinates, so that they are regressed on a subset of the draws.
+    Returns its slope over range, cycles/m, and its mean, cycles.
     """
-    every = points.reshape(-1, COORDINATES)
-    some = every[:: max(len(every) // LAG_DRAWS, 1)]
-    told = np.array([_lag_line(fit, z) for z in some])
-    design = np.column_stack([some, np.ones(len(some))])
-    line = np.linalg.lstsq(design, told, rcond=None)[0]
-    slope, mean = (every @ line[:-1] + line[-1]).T.reshape(2, *points.shape[:2])
-    return slope, mean
+    lags = learned(points, lambda z: np.array(_lag_line(fit, z)), np.arange(COORDINATES))
+    return lags[..., 0], lags[..., 1]
 
 
 def _lag_line(fit: Fit, z: FloatArray) -> tuple[float, float]:

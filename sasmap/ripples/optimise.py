@@ -23,7 +23,7 @@ from sasmap.ripples.rendering import (
 FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
-HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR = 2, 3, 6, 8, 9
+OFFSET, PHASE, HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR, ALTITUDE = 0, 1, 2, 3, 6, 8, 9, 10
 # Heights of the scan: least slope (the largest is close to the steepest that sand holds), and their
 # number.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
@@ -66,10 +66,18 @@ def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     return np.asarray([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
 
 
+def integrated_coordinates(geometry: Geometry) -> NDArray[np.int64]:
+    """Return the indices of those integrated out about the fit (:mod:`sasmap.ripples.nuisance`).
+
+    Where a phase field is followed, it has absorbed phase and wave number.
+    """
+    field = [OFFSET, PHASE] if geometry.follows_image else []
+    return np.array([*field, NOISE_SLOPE, BLUR, ALTITUDE])
+
+
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
-    """Return the indices of those sampled; noise slope and blur stay at their fitted values."""
-    free = free_coordinates(geometry)
-    return np.asarray(free[(free != NOISE_SLOPE) & (free != BLUR)])
+    """Return the indices of the estimated coordinates that are not integrated out."""
+    return np.setdiff1d(free_coordinates(geometry), integrated_coordinates(geometry))
 
 
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:

