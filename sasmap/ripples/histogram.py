@@ -27,13 +27,13 @@ FloatArray = NDArray[np.float64]
 
 # Length of the blocks of range: least, m, and over range. At 4 m the slope of the ray changes by a
 # quarter over a metre, and rendering a pulse every quarter of a metre changed A_H by 2 %.
-LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.035
+LEAST_BLOCK, BLOCK_SHARE = 0.25, 0.05
 # Most groups of range with a gain of their own, each at least a wavelength long.
 MOST_GROUPS = 8
 # Bins of phase per pixel along the look, and their largest number; where the published model is
 # taken at its word, whose shadows have no blur, more: with the first, A_H of ripples far steeper
 # than the lowest ray is 5 % too high (pipelines/ripples/zare_cobb_tables.py). Their least number.
-BINS, SHARP_BINS, LEAST_BINS = (1.25, 64), (1.5, 96), 16
+BINS, SHARP_BINS, LEAST_BINS = (1.25, 48), (1.5, 96), 16
 
 
 def range_edges(nearest: float, farthest: float) -> FloatArray:

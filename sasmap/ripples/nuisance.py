@@ -30,6 +30,7 @@ from sasmap.ripples.rendering import (
     Histogram,
     error_gain,
     fill_residuals,
+    named_parameters,
 )
 
 FloatArray = NDArray[np.float64]
@@ -92,7 +93,10 @@ def with_drawn(
     moved = moved + rng.standard_normal(moved.shape) @ left.T
     drawn = points.copy()
     drawn[..., which] += moved * prior_sd(fit.geometry)
-    return drawn
+    # near a law without contrast another altitude may leave no height at all
+    height = named_parameters(drawn, fit.geometry)["height"]
+    allowed = (height >= fit.geometry.height_least) & (height <= fit.geometry.height_most)
+    return np.where(allowed[..., None], drawn, points)
 
 
 def learned(

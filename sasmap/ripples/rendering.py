@@ -431,14 +431,16 @@ def fill_facets(height, wave, across, profile, facets):  # type: ignore[no-untyp
     """Fill rows 0 to 2 with heights (m), slopes along the look and areas of a wavelength's facets.
 
     Areas are relative to the facets' horizontal area. `profile` (2, facets) is as
-    :func:`fill_profile` fills it.
+    :func:`fill_profile` fills it. Return the steepest slope away from the sonar.
     """
-    steepness = 2.0 * np.pi * height
+    steepness, steepest = 2.0 * np.pi * height, 0.0
     for i in range(facets.shape[1]):
         along, beside = steepness * wave * profile[1, i], steepness * across * profile[1, i]
         facets[0, i] = height * profile[0, i]
         facets[1, i] = along
         facets[2, i] = np.sqrt(1.0 + along * along + beside * beside)
+        steepest = max(steepest, -along)
+    return steepest
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -599,7 +601,7 @@ def fill_pulses(ripple, data, geometry, pulses):  # type: ignore[no-untyped-def]
         crest = int(np.argmax(profile[0]))
         if varies:
             fill_scales(geometry.height_trend, data.place, scales)
-    before, stride = 0, 1 if geometry.shadow else RENDERED
+    before, stride, steepest = 0, 1 if geometry.shadow else RENDERED, 0.0
     for b in range(blocks):
         if b % stride != 0 and b < blocks - 1:
             continue
@@ -609,8 +611,11 @@ def fill_pulses(ripple, data, geometry, pulses):  # type: ignore[no-untyped-def]
             fill_published(ripple, wave, tangent, distance, geometry.shadow, facets, power, place)
         else:
             if varies or b == 0:
-                fill_facets(ripple.height * scales[b], wave, geometry.across, profile, facets)
-            rule = geometry.shadow
+                highest = ripple.height * scales[b]
+                steepest = fill_facets(highest, wave, geometry.across, profile, facets)
+            # a slope less steep than the ray over the crest casts no shadow
+            shaded = steepest > tangent - facets[0, crest] / distance
+            rule = geometry.shadow if shaded else 0
             fill_echoes(wave, tangent, distance, rule, crest, facets, law, power, place)
         pulse[:] = 0.0
         deposit(pulse, place, power, facets[3])

@@ -36,9 +36,10 @@ LOCAL_STEP = 1.7
 # limits at which it ends, of the acceptance rate and of the log of the largest density over the
 # proposal's relative to the median (pipelines/ripples/coherent.py).
 DEFENSIVE, WIDE = 0.15, 2.2
-ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 16, 0.3, 5.0
-# Draws per chain in the first round, and those after which the proposal is learned once more.
-ROUND, RELEARN = 300, 1200
+ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 10, 0.3, 5.0
+# Draws per chain in the first round (later ones add a quarter), and those after which the proposal
+# is learned once more.
+ROUND, RELEARN = 450, 1200
 # Independence steps of a chain per local step.
 LOCAL = 4
 # Most iterations of a mixture's fit, and the gain in mean log likelihood at which it ends.
@@ -263,7 +264,7 @@ def sample(
             learnt = refitted(proposal, particles, len(particles) * INDEPENDENT)
             proposal = proposal if learnt is proposal else defended(learnt)
             rounds, kept, relearned = [], 0, True
-        steps = min(max(ROUND, kept // 2), most - kept)
+        steps = min(kept // 4 or ROUND, most - kept)
         run = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
         states, kept = run.draws[:, -1], kept + steps
         rounds.append(run)
