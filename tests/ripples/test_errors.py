@@ -13,9 +13,8 @@ from sasmap.ripples.errors import (
     turned_by_errors,
     with_errors,
     with_fitted_errors,
-    with_fixed_parameters,
 )
-from sasmap.ripples.optimise import BLUR, HEIGHT, NOISE_SLOPE, fisher_scoring, line_of_lags, search
+from sasmap.ripples.optimise import fisher_scoring, line_of_lags, search
 from sasmap.ripples.rendered import Fit, expected_at, pulses_of
 from sasmap.ripples.rendering import error_gain, log_posterior, parameters_at
 from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
@@ -228,20 +227,3 @@ def test_heights_that_change_over_range_may_turn_the_phase_by_as_much():
 def test_without_errors_nothing_turns():
     plain = fit_of(4, np.ones((4, BINS)))
     assert turned_by_errors(plain) == 0.0
-
-
-def test_blur_and_noise_slope_are_integrated_out_of_the_sampled_density():
-    plain = fit_of(4, np.ones((4, BINS)), height=0.08)
-    plain = with_errors(plain)
-    free, given, fixed = [], [], []
-    whole = with_fixed_parameters(plain)
-    for step in (-0.005, 0.0, 0.005):
-        z = plain.z.copy()
-        z[HEIGHT] += step
-        fixed.append(log_posterior(z, plain.data, plain.geometry))
-        given.append(log_posterior(z, whole, plain.geometry))
-        best = fisher_scoring(z, plain.data, plain.geometry, free=np.array([NOISE_SLOPE, BLUR]))
-        free.append(best.level)
-    free, given, fixed = (np.subtract(v[1], v)[[0, 2]] for v in (free, given, fixed))
-    assert (fixed > 1.5 * free).all()
-    np.testing.assert_allclose(given, free, rtol=0.2)
