@@ -30,13 +30,15 @@ from sasmap.ripples.rendering import (
     Histogram,
     error_gain,
     fill_residuals,
-    named_parameters,
+    log_priors,
 )
 
 FloatArray = NDArray[np.float64]
 
 # Step of the finite difference, in standard deviations of the prior.
 STEP = 0.1
+# Trials of an altitude: more than one where the prior of A_H is narrow.
+TRIALS = 8
 # Number of draws from which a function that is nearly linear in the coordinates is learned.
 SOME = 100
 
@@ -88,15 +90,23 @@ def with_drawn(
         fill_residuals(expected, data, residuals, np.empty(expected.shape))
         return np.asarray(gain @ (errors @ residuals.ravel() - data.error_fitted))
 
-    moved = learned(points, means, sampled_coordinates(fit.geometry))
-    left = np.linalg.cholesky(gain[:, -which.size :])
-    moved = moved + rng.standard_normal(moved.shape) @ left.T
-    drawn = points.copy()
-    drawn[..., which] += moved * prior_sd(fit.geometry)
-    # near a law without contrast another altitude may leave no height at all
-    height = named_parameters(drawn, fit.geometry)["height"]
-    allowed = (height >= fit.geometry.height_least) & (height <= fit.geometry.height_most)
-    return np.where(allowed[..., None], drawn, points)
+    every = points.reshape(-1, COORDINATES)
+    middle = learned(every, means, sampled_coordinates(fit.geometry))
+    left, sd = np.linalg.cholesky(gain[:, -which.size :]), prior_sd(fit.geometry)
+
+    def of_height(z: FloatArray) -> FloatArray:
+        """Log prior of A_H, which follows the altitude: all but that of the coordinates drawn."""
+        own = 0.5 * np.sum((z[:, which] / sd) ** 2, axis=1)
+        return np.asarray(log_priors(z, fit.geometry) + own)
+
+    drawn, level = every, of_height(every)
+    for _ in range(TRIALS):
+        other = every.copy()
+        other[:, which] += sd * (middle + rng.standard_normal(middle.shape) @ left.T)
+        reached = of_height(other)
+        taken = np.log(rng.random(len(every))) < reached - level
+        drawn, level = np.where(taken[:, None], other, drawn), np.where(taken, reached, level)
+    return drawn.reshape(points.shape)
 
 
 def learned(

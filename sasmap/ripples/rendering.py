@@ -807,6 +807,15 @@ def log_posteriors(points, data, geometry):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_priors(points, geometry):  # type: ignore[no-untyped-def]
+    """Log prior density of points (n, coordinates)."""
+    values = np.empty(points.shape[0])
+    for i in range(values.size):
+        values[i] = log_prior(points[i], parameters_at(points[i], geometry), geometry)
+    return values
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_parameters(points, geometry, values):  # type: ignore[no-untyped-def]
     """Fill the parameters (n, fields of :class:`Parameters`) at points (n, coordinates)."""
     for i in range(points.shape[0]):

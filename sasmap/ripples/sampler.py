@@ -1,4 +1,4 @@
-"""Metropolis-Hastings with proposals learned in burn-in and then frozen.
+"""Metropolis-Hastings with proposals learned beforehand and then frozen.
 
 The log density may be any function of points; nothing here is specific to ripples. The proposal is
 an independence proposal, a mixture of Student t densities fitted to a weighted population
@@ -32,14 +32,11 @@ COMPONENTS, FLOOR = 5, 1e-3
 # Local step over the difference of two particles, times the square root of twice the dimension.
 LOCAL_STEP = 1.7
 # Weight and width of a defensive component, relative to the whole proposal, which limits how far
-# the proposal can fall short of the density. Burn-in: most rounds, chains, steps per round, and the
-# limits at which it ends, of the acceptance rate and of the log of the largest density over the
-# proposal's relative to the median (pipelines/ripples/coherent.py).
+# the proposal can fall short of the density.
 DEFENSIVE, WIDE = 0.15, 2.2
-ADAPTATIONS, WALKERS, WALK, LEARNED, SHORTFALL = 6, 48, 10, 0.3, 5.0
-# Draws per chain in the first round (later ones add a quarter), and those after which the proposal
-# is learned once more.
-ROUND, RELEARN = 450, 1200
+# Draws per chain in the first round (later ones add a quarter), those after which they become
+# burn-in and the proposal is learned from them, and how often (pipelines/ripples/coherent.py).
+ROUND, RELEARN, LESSONS = 450, 1000, 2
 # Independence steps of a chain per local step.
 LOCAL = 4
 # Most iterations of a mixture's fit, and the gain in mean log likelihood at which it ends.
@@ -48,7 +45,7 @@ EM_ROUNDS, EM_ENOUGH = 20, 1e-3
 INDEPENDENT = 0.2
 # Importance sampling: points per round, most rounds, effective number of points per dimension to
 # which weights are flattened in between, and the one at which it ends.
-POINTS, MOST_ROUNDS, ADAPTED, ENOUGH = 300, 12, 4.0, 25.0
+POINTS, MOST_ROUNDS, ADAPTED, ENOUGH = 300, 12, 4.0, 35.0
 # Distinct points per dimension above which a mixture can be fitted.
 LEAST_PLACES = 2
 
@@ -172,54 +169,6 @@ def metropolis_hastings(
     return Chains(draws, kept, accepted / (chains * steps))
 
 
-def adapted(
-    log_density: LogDensity,
-    proposal: Proposal,
-    particles: FloatArray,
-    walkers: int,
-    rng: np.random.Generator,
-) -> tuple[Proposal, FloatArray, FloatArray]:
-    """Learn a proposal from many short chains in rounds of burn-in, until it covers the density.
-
-    A chain stays long where the density is much larger than the proposal; these are the regions
-    that importance sampling missed.
-
-    Parameters
-    ----------
-    log_density : callable
-    proposal : Proposal
-        Initial proposal.
-    particles : ndarray (n, size)
-        Initial population.
-    walkers : int
-        Number of chains.
-    rng : Generator
-
-    Returns
-    -------
-    proposal : Proposal
-        To be used frozen.
-    particles : ndarray (m, size)
-    states : ndarray (walkers, size)
-        Last states of the chains, in random order.
-    """
-    states = particles[rng.permutation(len(particles))[:walkers]]
-    seen = np.empty((0, particles.shape[1]))
-    for _ in range(ADAPTATIONS):
-        guarded = defended(proposal)
-        chains = metropolis_hastings(log_density, guarded, particles, states, WALK, rng)
-        states = chains.draws[:, -1]
-        beyond = chains.excess.max() - np.median(chains.excess)
-        if chains.accepted > LEARNED and beyond < SHORTFALL:
-            break
-        seen = np.concatenate(
-            [seen[len(seen) // 3 :], chains.draws[:, WALK // 4 :].reshape(-1, seen.shape[1])]
-        )
-        particles = seen[rng.permutation(len(seen))]
-        proposal = refitted(proposal, particles, len(particles) * INDEPENDENT)
-    return defended(proposal), particles, states[rng.permutation(len(states))]
-
-
 def sample(
     log_density: LogDensity,
     proposal: Proposal,
@@ -228,10 +177,10 @@ def sample(
     most: int,
     rng: np.random.Generator,
 ) -> tuple[Chains, bool]:
-    """Draw from a density until the draws suffice: population, burn-in, then a frozen proposal.
+    """Draw from a density until the draws suffice: a population, then a frozen proposal.
 
-    If a first run of chains does not suffice, it becomes burn-in and a proposal is learned from it
-    once more.
+    Chains that do not suffice become burn-in, from which the proposal is learned again: they stay
+    long where the density is much larger than the proposal, in regions that the population missed.
 
     Parameters
     ----------
@@ -252,18 +201,16 @@ def sample(
         Whether they suffice.
     """
     particles, proposal = population(log_density, proposal, rng)
-    walkers = max(WALKERS, chains)
-    proposal, particles, states = adapted(log_density, proposal, particles, walkers, rng)
-    states, relearned = states[:chains], False
+    proposal = defended(proposal)
+    states = particles[rng.permutation(len(particles))[:chains]]
     rounds: list[Chains] = []
-    kept, done = 0, False
+    draws, kept, done, lessons = states[:, None], 0, False, 0
     while kept < most and not done:
-        if kept >= RELEARN and not relearned:
-            learned = np.concatenate([r.draws for r in rounds], axis=1).reshape(-1, states.shape[1])
-            particles = learned[rng.permutation(len(learned))]
+        if kept >= RELEARN and lessons < LESSONS:
+            particles = draws.reshape(-1, states.shape[1])[rng.permutation(draws[..., 0].size)]
             learnt = refitted(proposal, particles, len(particles) * INDEPENDENT)
             proposal = proposal if learnt is proposal else defended(learnt)
-            rounds, kept, relearned = [], 0, True
+            rounds, kept, lessons = [], 0, lessons + 1
         steps = min(kept // 4 or ROUND, most - kept)
         run = metropolis_hastings(log_density, proposal, particles, states, steps, rng)
         states, kept = run.draws[:, -1], kept + steps
