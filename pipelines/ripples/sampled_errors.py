@@ -22,7 +22,7 @@ from calibration import LEVELS, coverage, draw
 
 from sasmap.ripples import Prior, RippleSettings
 from sasmap.ripples.errors import HEIGHT_TREND, LAW_ERROR, THIRD_HARMONIC
-from sasmap.ripples.estimation import _sampled
+from sasmap.ripples.estimation import draw_points
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import as_image
 from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE
@@ -99,7 +99,7 @@ def one(seed: int) -> Result | None:
         fit = fit_wave(Task(as_image(clip), settings, prior, clip.altitude_sd), wave)
     except NoPlaceError:
         return None
-    integrated = _sampled(fit, settings, np.random.default_rng(seed))[0]
+    integrated = draw_points(fit, settings, np.random.default_rng(seed))[0]
     exact = sampled_with_errors(fit, integrated, np.random.default_rng(seed))
     height = [named_parameters(p, fit.geometry)["height"] for p in (integrated, exact)]
     ranks = [float(np.mean(h < ripple.height)) for h in height]

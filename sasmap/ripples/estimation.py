@@ -165,7 +165,7 @@ def _default(
         )
     wave, fit = max(fits, key=lambda f: f[1].explained)
     other = second_system(found.waves, fit.phase.wave)
-    points, acceptance, done = _sampled(fit, settings, rng)
+    points, acceptance, done = draw_points(fit, settings, rng)
     extent = ripple_extent(image, fit.phase.wave)
     draws = _labelled(points, fit, image, (_crossing(wave, other), extent.fraction), rng)
     draws["frequency"].values = prior.weigh_frequency(draws["frequency"].values)
@@ -212,7 +212,7 @@ def _draws_of(task: Task, wave: Wave, first: Wave, rng: np.random.Generator) -> 
     fit = fits[0][1]
     if fit.geometry.along < MIN_ALONG * np.hypot(fit.geometry.along, fit.geometry.across):
         return xr.Dataset()
-    points, _, done = _sampled(fit, task.settings, rng)
+    points, _, done = draw_points(fit, task.settings, rng)
     if not done:  # too weak to be estimated from the clip
         return xr.Dataset()
     fraction = ripple_extent(task.image, fit.phase.wave).fraction
@@ -276,10 +276,10 @@ def _harmonic(wave: Wave, first: Wave) -> bool:
     return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
 
 
-def _sampled(
+def draw_points(
     fit: Fit, settings: RippleSettings, rng: np.random.Generator
 ) -> tuple[FloatArray, float, bool]:
-    """Draw sampling coordinates (chain, draw, COORDINATES).
+    """Draw sampling coordinates (chain, draw, COORDINATES) from the posterior about a fit.
 
     Returns the accepted fraction and whether the chains converged as well.
     """

@@ -44,19 +44,19 @@ def box_sums(values, valid, per_column, per_row, size):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def wave_boxes(values, valid, per_column, per_row, width):  # type: ignore[no-untyped-def]
-    """Sum a demodulated image over boxes one wavelength long and `width` pixels wide.
+def wave_boxes(values, valid, per_column, per_row, parts, width):  # type: ignore[no-untyped-def]
+    """Sum an image over boxes 1 / `parts` of a wavelength long and `width` pixels wide.
 
-    Returns complex sums, sums of squares and numbers of pixels, (wavelengths, boxes across).
+    Returns its sums demodulated at the wave (complex) and as it is, sums of squares and numbers of
+    pixels, (parts of wavelengths, boxes across).
     """
     rows, columns = values.shape
     norm = np.hypot(per_column, per_row)
     half = 0.5 * (abs(per_column) * (columns - 1) + abs(per_row) * (rows - 1))
     side = 0.5 * (abs(per_row) * (columns - 1) + abs(per_column) * (rows - 1)) / norm
-    shape = (int(2.0 * half) + 1, int(2.0 * side / width) + 1)
+    shape = (int(2.0 * half * parts) + 1, int(2.0 * side / width) + 1)
     turned = np.zeros(shape, np.complex128)
-    square = np.zeros(shape)
-    count = np.zeros(shape)
+    total, square, count = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     step = np.exp(-2j * np.pi * per_column)
     for i in range(rows):
         row = i - 0.5 * (rows - 1)
@@ -64,13 +64,14 @@ def wave_boxes(values, valid, per_column, per_row, width):  # type: ignore[no-un
         for j in range(columns):
             if valid[i, j]:
                 column = j - 0.5 * (columns - 1)
-                a = int(per_column * column + per_row * row + half)
+                a = int((per_column * column + per_row * row + half) * parts)
                 b = int(((per_column * row - per_row * column) / norm + side) / width)
                 turned[a, b] += values[i, j] * turn
+                total[a, b] += values[i, j]
                 square[a, b] += values[i, j] ** 2
                 count[a, b] += 1.0
             turn *= step
-    return turned, square, count
+    return turned, total, square, count
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -122,6 +123,20 @@ def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
     return result
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def phase_at(i, j, shape, field, per_pixel):  # type: ignore[no-untyped-def]
+    """Phase of a pixel, cycles from 0 to 1.
+
+    `field` is the phase relative to the plane wave, cycles (rows, columns), empty where there is
+    none; `per_pixel` the wave's cycles per column, per row, and at the clip's centre.
+    """
+    cycles = per_pixel[2] + per_pixel[0] * (j - 0.5 * (shape[1] - 1))
+    cycles += per_pixel[1] * (i - 0.5 * (shape[0] - 1))
+    if field.size > 0:
+        cycles += field[i, j]
+    return cycles - np.floor(cycles)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def block_table(edges):  # type: ignore[no-untyped-def]
     """Table of the block at many even steps of range, and the number of steps per metre."""
@@ -142,9 +157,8 @@ def sum_pixels(  # type: ignore[no-untyped-def]
 ):
     """Return sums of bins (blocks, bins, BIN_SUMS) and of blocks (blocks, BLOCK_SUMS).
 
-    `field` is the phase relative to the plane wave, cycles (rows, columns), empty where there is
-    none; `per_pixel` the wave's cycles per column, per row, and at the clip's centre; `along` the
-    metres along the look per column and per row.
+    `field` and `per_pixel` are as for :func:`phase_at`; `along` holds the metres along the look per
+    column and per row.
     """
     rows, columns = power.shape
     blocks = edges.size - 1
@@ -157,11 +171,7 @@ def sum_pixels(  # type: ignore[no-untyped-def]
         for j in range(columns):
             if not used[i, j]:
                 continue
-            column = j - 0.5 * (columns - 1)
-            cycles = per_pixel[2] + per_pixel[0] * column + per_pixel[1] * row
-            if field.size > 0:
-                cycles += field[i, j]
-            cycles -= np.floor(cycles)
+            cycles = phase_at(i, j, power.shape, field, per_pixel)
             k = min(int(cycles * bins), bins - 1)
             reach = ground_range[i, j]
             b = table[min(max(int((reach - edges[0]) * scale), 0), table.size - 1)]
@@ -173,7 +183,7 @@ def sum_pixels(  # type: ignore[no-untyped-def]
             sums[b, k, OFFSET] += cycles - (k + 0.5) / bins
             sums[b, k, REACH] += reach
             places[b, PIXELS] += 1.0
-            places[b, PLACE] += along[0] * column + along[1] * row
+            places[b, PLACE] += along[0] * (j - 0.5 * (columns - 1)) + along[1] * row
             places[b, RANGE] += reach
             places[b, ALTITUDE] += altitude[i, j]
             places[b, TREND] += level
@@ -191,16 +201,10 @@ def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type
     image = np.zeros((rows, columns))
     b = 0
     for i in range(rows):
-        row = i - 0.5 * (rows - 1)
         for j in range(columns):
             if not known[i, j]:
                 continue
-            column = j - 0.5 * (columns - 1)
-            cycles = per_pixel[2] + per_pixel[0] * column + per_pixel[1] * row
-            if field.size > 0:
-                cycles += field[i, j]
-            cycles -= np.floor(cycles)
-            x = cycles * bins + (bins - 0.5)
+            x = phase_at(i, j, known.shape, field, per_pixel) * bins + (bins - 0.5)
             low = int(x)
             share = x - low
             low -= bins if low >= bins else 0
@@ -217,28 +221,3 @@ def paint_pixels(known, ground_range, field, per_pixel, places, pulses):  # type
             there = pulses[after, low] + share * (pulses[after, high] - pulses[after, low])
             image[i, j] = here + part * (there - here)
     return image
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def profile_boxes(values, valid, per_column, per_row, parts, width):  # type: ignore[no-untyped-def]
-    """Sum an image over boxes 1 / `parts` of a wavelength long and `width` pixels wide.
-
-    Returns sums and numbers of pixels, (parts of wavelengths, boxes across).
-    """
-    rows, columns = values.shape
-    norm = np.hypot(per_column, per_row)
-    half = 0.5 * (abs(per_column) * (columns - 1) + abs(per_row) * (rows - 1))
-    side = 0.5 * (abs(per_row) * (columns - 1) + abs(per_column) * (rows - 1)) / norm
-    shape = (int(2.0 * half * parts) + 1, int(2.0 * side / width) + 1)
-    total = np.zeros(shape)
-    count = np.zeros(shape)
-    for i in range(rows):
-        row = i - 0.5 * (rows - 1)
-        for j in range(columns):
-            if valid[i, j]:
-                column = j - 0.5 * (columns - 1)
-                a = int((per_column * column + per_row * row + half) * parts)
-                b = int(((per_column * row - per_row * column) / norm + side) / width)
-                total[a, b] += values[i, j]
-                count[a, b] += 1.0
-    return total, count

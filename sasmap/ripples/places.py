@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.pixels import box_sums, profile_boxes, wave_boxes
+from sasmap.ripples.pixels import box_sums, wave_boxes
 from sasmap.ripples.spectra import taper
 
 FloatArray = NDArray[np.float64]
@@ -92,7 +92,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     """
     wave = float(per_pixel[0]), float(per_pixel[1])
     width = _width(flat.shape, wave)
-    turned, noise, count = wave_boxes(flat, valid, *wave, width)
+    turned, _, noise, count = wave_boxes(flat, valid, *wave, 1, width)
     full = count > 0.5 * np.quantile(count[count > 0], 0.9)
     mean_noise = noise.sum() / max(count.sum(), 1.0)
     # keeps a box with one bright object from weighing more than the rest
@@ -223,7 +223,7 @@ def lines_of(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> float
     variance = float((flat**2).sum()) / max(int(valid.sum()), 1)
     length = 1 / float(np.hypot(*wave))
     parts = FINE if length > LONG_ENOUGH else max(int(length / 2), 2)
-    total, count = profile_boxes(flat, valid, *wave, parts, _width(flat.shape, wave))
+    _, total, _, count = wave_boxes(flat, valid, *wave, parts, _width(flat.shape, wave))
     full = count > 0.5 * np.quantile(count[count > 0], 0.9)
     level = np.where(full, total / np.maximum(count, 1.0), 0.0)
     level = level - level.sum(axis=0) / np.maximum(full.sum(axis=0), 1)

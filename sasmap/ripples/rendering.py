@@ -385,6 +385,17 @@ def fill_crest_rule(elevation, altitude, wave, ground_range, crest, lit):  # typ
         before = margin
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_shadow(  # type: ignore[no-untyped-def]
+    shadow, elevation, altitude, wave, ground_range, crest, lit
+):
+    """Fill each facet's lit share by the rule `shadow`; leave it where there is none."""
+    if shadow == CREST:
+        fill_crest_rule(elevation, altitude, wave, ground_range, crest, lit)
+    elif shadow == LINE_OF_SIGHT:
+        fill_lit(elevation, 1.0 / (wave * lit.size * ground_range), crest, lit)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def deposit(pulse, place, power, beyond):  # type: ignore[no-untyped-def]
     """Add each facet's power to the two phase bins nearest its place (cycles).
@@ -470,10 +481,7 @@ def fill_echoes(  # type: ignore[no-untyped-def]
     altitude = tangent * ground_range
     for i in range(n):
         elevation[i] = heights[i] - altitude
-    if shadow == CREST:
-        fill_crest_rule(elevation, altitude, wave, ground_range, crest, lit)
-    elif shadow == LINE_OF_SIGHT:
-        fill_lit(elevation, 1.0 / (wave * n * ground_range), crest, lit)
+    fill_shadow(shadow, elevation, altitude, wave, ground_range, crest, lit)
     per_range = 1.0 / ground_range
     bend = 0.5 * (1.0 + tangent * tangent) * per_range
     for i in range(n):
@@ -511,10 +519,7 @@ def fill_published(  # type: ignore[no-untyped-def]
     lit[:] = 1.0
     for i in range(n):
         elevation[i] = ripple.height * unit[i] - altitude
-    if shadow == CREST:
-        fill_crest_rule(elevation, altitude, wave, ground_range, np.argmax(unit), lit)
-    elif shadow == LINE_OF_SIGHT:
-        fill_lit(elevation, 1.0 / (wave * n * ground_range), np.argmax(unit), lit)
+    fill_shadow(shadow, elevation, altitude, wave, ground_range, np.argmax(unit), lit)
     grazing, slope_angle = np.arctan(tangent), np.arctan(2.0 * np.pi * ripple.height * wave)
     c = ripple.concentration
     flat = published_amplitude(grazing, c)
