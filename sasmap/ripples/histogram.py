@@ -33,7 +33,7 @@ MOST_GROUPS = 8
 # Bins of phase per pixel along the look, and their largest number; where the published model is
 # taken at its word, whose shadows have no blur, more: with the first, A_H of ripples far steeper
 # than the lowest ray is 5 % too high (pipelines/ripples/zare_cobb_tables.py). Their least number.
-BINS, SHARP_BINS, LEAST_BINS = (1.25, 48), (1.5, 96), 16
+BINS, SHARP_BINS, LEAST_BINS = (1.25, 64), (1.5, 96), 16
 
 
 def range_edges(nearest: float, farthest: float) -> FloatArray:
