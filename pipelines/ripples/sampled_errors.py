@@ -2,9 +2,9 @@
 
     python pipelines/ripples/sampled_errors.py [--draws 110] [--workers 2]
 
-The likelihood integrates the law's departure from its family, the profile's third harmonic and
-heights that change over range out to second order, about the fit. Here the same posterior is
-sampled with these eleven amplitudes, noise slope and blur as further coordinates, rendered anew at
+The likelihood integrates the law's departure from its family, the profile's third harmonic, heights
+that change over range, and what sasmap.ripples.nuisance names, out to second order about the fit.
+Here the same posterior is sampled with eleven amplitudes and those as coordinates, rendered anew at
 every point: 120 chains of 3000 steps by differential evolution (ter Braak and Vrugt 2008), about
 thirty times the densities of an estimate. Clips are those of calibration.py; the fit starts at the
 true wave.
@@ -25,7 +25,7 @@ from sasmap.ripples.errors import HEIGHT_TREND, LAW_ERROR, THIRD_HARMONIC
 from sasmap.ripples.estimation import draw_points
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import as_image
-from sasmap.ripples.optimise import BLUR, COORDINATES, NOISE_SLOPE
+from sasmap.ripples.optimise import COORDINATES
 from sasmap.ripples.rendered import Fit
 from sasmap.ripples.rendering import log_posterior, named_parameters
 
@@ -65,7 +65,6 @@ def sampled_with_errors(fit: Fit, draws: np.ndarray, rng: np.random.Generator) -
     copied = ("law_error", "third_harmonic", "height_trend")
     geometry = fit.geometry._replace(**{k: getattr(fit.geometry, k).copy() for k in copied})
     start = rng.choice(draws.reshape(-1, COORDINATES), CHAINS)
-    start[:, [NOISE_SLOPE, BLUR]] += 0.3 * rng.standard_normal((CHAINS, 2))
     state = np.hstack([start, 0.5 * rng.standard_normal((CHAINS, SD.size))])
     level = log_densities(state, SD, data, geometry)
     archive, kept = state.copy(), []

@@ -68,7 +68,7 @@ def linearised(fit: Fit) -> Fit:
     end = len(_beside(fit.geometry))
     heights = slice(end - len(HEIGHT_TREND), end)
     here, level = fit.data.error_fitted[heights], _level(fit, heights)
-    step = _fitted(fit, expected_at(fit, fit.z)[0])[heights]
+    step = fitted_amplitudes(fit, expected_at(fit, fit.z)[0])[heights]
     for share in SHARES:
         trend = np.array(HEIGHT_TREND) * (here + share * step)
         other = with_errors(fit._replace(geometry=fit.geometry._replace(height_trend=trend)))
@@ -152,7 +152,7 @@ def _slope_of(fit: Fit, lower: Geometry, higher: Geometry) -> FloatArray:
     return np.asarray((logs[1] - logs[0]) / (2 * ERROR_STEP))
 
 
-def _fitted(fit: Fit, means: FloatArray) -> FloatArray:
+def fitted_amplitudes(fit: Fit, means: FloatArray) -> FloatArray:
     """Amplitudes of the errors in the image beyond those that the geometry contains, (errors,)."""
     residuals = np.empty(means.shape)
     fill_residuals(means, fit.data, residuals, np.empty(means.shape))
@@ -219,7 +219,7 @@ def with_fitted_errors(fit: Fit) -> FloatArray:
     if not len(fit.data.errors):
         return means
     errors = fit.data.errors.reshape(-1, means.size)
-    return np.asarray(means * np.exp((_fitted(fit, means) @ errors).reshape(means.shape)))
+    return np.asarray(means * np.exp((fitted_amplitudes(fit, means) @ errors).reshape(means.shape)))
 
 
 def bin_weights(fit: Fit, whole: Histogram, pixel_size: float) -> FloatArray:

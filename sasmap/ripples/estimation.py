@@ -289,7 +289,7 @@ def draw_points(
     ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
     coordinates = Coordinates(ridge, fit.geometry)
     rest = coordinates.to_sampling(fit.z)
-    data = with_integrated(fit)
+    fit = with_integrated(fit)
 
     def whole(points: FloatArray) -> FloatArray:
         every = np.broadcast_to(rest, (*points.shape[:-1], COORDINATES)).copy()
@@ -297,7 +297,7 @@ def draw_points(
         return coordinates.from_sampling(every)
 
     def log_density(points: FloatArray) -> FloatArray:
-        return np.asarray(log_posteriors(whole(points), data, fit.geometry))
+        return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
 
     keep = np.ix_(*[np.isin(free, sampled)] * 2)
     proposal = mixture_of_peaks(
@@ -308,7 +308,7 @@ def draw_points(
         return converged(named_parameters(whole(draws), fit.geometry)["height"])
 
     chains, done = sample(log_density, proposal, suffice, settings.chains, settings.draws, rng)
-    return with_drawn(whole(chains.draws), data, fit, rng), chains.accepted, done
+    return with_drawn(whole(chains.draws), fit, rng), chains.accepted, done
 
 
 def _labelled(

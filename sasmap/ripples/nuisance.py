@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.errors import sharing
+from sasmap.ripples.errors import fitted_amplitudes, sharing
 from sasmap.ripples.optimise import (
     COORDINATES,
     OFFSET,
@@ -23,13 +23,11 @@ from sasmap.ripples.optimise import (
     integrated_coordinates,
     sampled_coordinates,
 )
-from sasmap.ripples.rendered import Fit, expected_at
+from sasmap.ripples.rendered import Fit, expected_at, log_change
 from sasmap.ripples.rendering import (
     FIELD_PHASE,
     Geometry,
-    Histogram,
     error_gain,
-    fill_residuals,
     log_priors,
 )
 
@@ -50,29 +48,25 @@ def prior_sd(geometry: Geometry) -> FloatArray:
     return np.asarray(sd[integrated_coordinates(geometry)])
 
 
-def with_integrated(fit: Fit) -> Histogram:
-    """Return the histogram with the integrated coordinates as further errors, the last ones."""
+def with_integrated(fit: Fit) -> Fit:
+    """Give a fit's histogram the integrated coordinates as further errors, the last ones."""
     which, sd = integrated_coordinates(fit.geometry), prior_sd(fit.geometry)
-    shapes = [fit.data.errors]
-    for step in STEP * sd[:, None] * np.eye(COORDINATES)[which]:
-        lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
-        shapes.append((higher - lower)[None] / (2 * STEP))
+    steps = STEP * sd[:, None] * np.eye(COORDINATES)[which]
+    shapes = np.array([log_change(fit, step) / STEP for step in steps])
     fitted = np.concatenate([fit.data.error_fitted, fit.z[which] / sd])
-    return sharing(fit.data, np.concatenate(shapes), fitted, fit.data.error_signal)
+    errors = np.concatenate([fit.data.errors, shapes])
+    return fit._replace(data=sharing(fit.data, errors, fitted, fit.data.error_signal))
 
 
-def with_drawn(
-    points: FloatArray, data: Histogram, fit: Fit, rng: np.random.Generator
-) -> FloatArray:
+def with_drawn(points: FloatArray, fit: Fit, rng: np.random.Generator) -> FloatArray:
     """Draw the integrated coordinates given draws of the others.
 
     Parameters
     ----------
     points : ndarray (..., COORDINATES)
         The integrated coordinates are those of the fit.
-    data : Histogram
-        As :func:`with_integrated` returns it.
     fit : Fit
+        As :func:`with_integrated` returns it.
     rng : Generator
 
     Returns
@@ -80,19 +74,15 @@ def with_drawn(
     ndarray (..., COORDINATES)
     """
     which = integrated_coordinates(fit.geometry)
-    errors = data.errors.reshape(len(data.errors), -1)
-    gain = error_gain(data)[-which.size :]
+    covariance = error_gain(fit.data)[-which.size :, -which.size :]
 
     def means(z: FloatArray) -> FloatArray:
         """Mean of each integrated coordinate less the fit's, in standard deviations."""
-        expected = expected_at(fit, z)[0]
-        residuals = np.empty(expected.shape)
-        fill_residuals(expected, data, residuals, np.empty(expected.shape))
-        return np.asarray(gain @ (errors @ residuals.ravel() - data.error_fitted))
+        return fitted_amplitudes(fit, expected_at(fit, z)[0])[-which.size :]
 
     every = points.reshape(-1, COORDINATES)
     middle = learned(every, means, sampled_coordinates(fit.geometry))
-    left, sd = np.linalg.cholesky(gain[:, -which.size :]), prior_sd(fit.geometry)
+    left, sd = np.linalg.cholesky(covariance), prior_sd(fit.geometry)
 
     def of_height(z: FloatArray) -> FloatArray:
         """Log prior of A_H, which follows the altitude: all but that of the coordinates drawn."""

@@ -82,6 +82,12 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     return means, gains
 
 
+def log_change(fit: Fit, step: FloatArray) -> FloatArray:
+    """Return half the change of the log expected intensity (blocks, bins) over a step both ways."""
+    lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
+    return np.asarray(0.5 * (higher - lower))
+
+
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:
     """Spread means of bins (blocks, bins) over the used pixels, times the trend; 0 elsewhere."""
     model = spread_bins(image, fit, used, means)

@@ -101,14 +101,11 @@ class Chains(NamedTuple):
     Attributes
     ----------
     draws : ndarray (chains, draws, size)
-    excess : ndarray (chains, draws)
-        Log of the density over the proposal's, at the draws.
     accepted : float
         Accepted fraction of the independence proposals.
     """
 
     draws: FloatArray
-    excess: FloatArray
     accepted: float
 
 
@@ -146,7 +143,7 @@ def metropolis_hastings(
     jumps = LOCAL_STEP / np.sqrt(2 * size) * (particles[pairs[0]] - particles[pairs[1]])
     nearer = np.log(rng.random((local, chains)))
     anew = np.log(rng.random((steps, chains)))
-    draws, kept = np.empty((chains, steps, size)), np.empty((chains, steps))
+    draws = np.empty((chains, steps, size))
     accepted = 0
     state = starts.copy()
     level = log_density(state)
@@ -165,8 +162,8 @@ def metropolis_hastings(
         state = np.where(far[:, None], points[k], state)
         excess = np.where(far, excesses[k], excess)
         accepted += int(far.sum())
-        draws[:, k], kept[:, k] = state, excess
-    return Chains(draws, kept, accepted / (chains * steps))
+        draws[:, k] = state
+    return Chains(draws, accepted / (chains * steps))
 
 
 def sample(
@@ -218,7 +215,7 @@ def sample(
         draws = np.concatenate([r.draws for r in rounds], axis=1)
         done = told(draws)
     accepted = sum(r.accepted * r.draws.shape[1] for r in rounds) / kept
-    return Chains(draws, np.concatenate([r.excess for r in rounds], axis=1), accepted), done
+    return Chains(draws, accepted), done
 
 
 def defended(proposal: Proposal) -> Proposal:

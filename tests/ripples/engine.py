@@ -1,6 +1,7 @@
 """Engine parts that tests build by hand: geometries, histograms without noise, coherent clips."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -8,8 +9,10 @@ from sasmap.ripples.demodulation import demodulate
 from sasmap.ripples.fit import Task, clip_geometry, fit_wave
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import as_image
+from sasmap.ripples.optimise import fisher_scoring, search
 from sasmap.ripples.phase import straight
 from sasmap.ripples.priors import Prior
+from sasmap.ripples.rendered import Fit
 from sasmap.ripples.rendering import (
     LAW_KNOTS,
     LINE_OF_SIGHT,
@@ -22,7 +25,7 @@ from sasmap.ripples.rendering import (
 from sasmap.ripples.settings import RippleSettings
 from sasmap.simulate import coherent_cell
 
-SHAPE = (200, 200)
+SHAPE, BINS = (200, 200), 48
 LAMBERT, GAUSSIAN = (2.0, 0.0), (0.0, 3 / np.pi)
 
 
@@ -130,3 +133,16 @@ def fitted_cell(seed, turn, **changes):
     made = coherent(seed, azimuth_off_look=turn, **changes)
     _, task, *_ = summed(made.clip, made.wave)
     return made, task.image, fit_wave(task, made.wave)
+
+
+def fit_of(groups, misfit, rigid=True, height=0.02, noise=0.01, **changes):
+    """A fit to ripples, shallow ones if not said, whose intensity is off by (groups, bins)."""
+    reach = 12.0 + 0.5 * np.arange(4 * groups)
+    where = geometry(0.6, float(reach.mean()), 6.0, expected_blur=0.03, **changes)
+    group = np.repeat(np.arange(groups), 4).astype(np.int64)
+    truth = ripple(height, LAMBERT, blur=0.03, noise=noise, noise_slope=1.0)
+    data = noiseless(truth, empty(reach, 6.0, bins=BINS, count=500.0, group=group), where)
+    peak = fisher_scoring(search(data, where)[0].z, data, where)
+    data = data._replace(intensity_sum=data.intensity_sum * misfit[group])
+    phase = SimpleNamespace(rigid=rigid, wave_sd=np.zeros(2))
+    return Fit(phase, None, data, where, [peak])

@@ -14,25 +14,12 @@ from sasmap.ripples.errors import (
     with_errors,
     with_fitted_errors,
 )
-from sasmap.ripples.optimise import fisher_scoring, line_of_lags, search
-from sasmap.ripples.rendered import Fit, expected_at, pulses_of
+from sasmap.ripples.optimise import fisher_scoring, line_of_lags
+from sasmap.ripples.rendered import expected_at, pulses_of
 from sasmap.ripples.rendering import error_gain, log_posterior, parameters_at
-from tests.ripples.engine import LAMBERT, empty, geometry, noiseless, ripple
+from tests.ripples.engine import BINS, LAMBERT, fit_of, noiseless, ripple
 
-BINS, PIXEL = 48, 0.03
-
-
-def fit_of(groups, misfit, rigid=True, height=0.02, noise=0.01):
-    """A fit to ripples, shallow ones if not said, whose intensity is off by (groups, bins)."""
-    reach = 12.0 + 0.5 * np.arange(4 * groups)
-    where = geometry(0.6, float(reach.mean()), 6.0, expected_blur=0.03)
-    group = np.repeat(np.arange(groups), 4).astype(np.int64)
-    truth = ripple(height, LAMBERT, blur=0.03, noise=noise, noise_slope=1.0)
-    data = noiseless(truth, empty(reach, 6.0, bins=BINS, count=500.0, group=group), where)
-    peak = fisher_scoring(search(data, where)[0].z, data, where)
-    data = data._replace(intensity_sum=data.intensity_sum * misfit[group])
-    phase = SimpleNamespace(rigid=rigid, wave_sd=np.zeros(2))
-    return Fit(phase, None, data, where, [peak])
+PIXEL = 0.03
 
 
 def weights(fit):

@@ -17,12 +17,10 @@ from sasmap.ripples.optimise import (
     free_coordinates,
     integrated_coordinates,
     sampled_coordinates,
-    search,
 )
-from sasmap.ripples.rendered import Fit
 from sasmap.ripples.rendering import log_posterior, log_posteriors, named_parameters
 from sasmap.ripples.sampler import mixture_of_peaks, sample
-from tests.ripples.engine import LAMBERT, empty, fitted_cell, geometry, noiseless, ripple
+from tests.ripples.engine import BINS, LAMBERT, fit_of, fitted_cell
 
 KNOWN_LAW = np.array([*LAMBERT, np.nan, np.nan])
 
@@ -37,15 +35,11 @@ def known_law(turn=0.0, **changes):
 
 @pytest.mark.parametrize("field", [False, True])
 def test_the_density_is_that_at_the_best_value_of_what_is_integrated_out(field):
-    reach, group = 12.0 + 0.5 * np.arange(16), np.repeat(np.arange(4), 4).astype(np.int64)
-    where = geometry(0.6, 15.75, 6.0, expected_blur=0.03, altitude_sd=0.2, follows_image=field)
-    truth = ripple(0.08, LAMBERT, blur=0.03, noise=0.01, noise_slope=1.0)
-    data = noiseless(truth, empty(reach, 6.0, bins=48, count=500.0, group=group), where)
-    peak = fisher_scoring(search(data, where)[0].z, data, where)
-    plain = with_errors(
-        Fit(type("Phase", (), {"rigid": not field}), np.ones((1, 1)), data, where, [peak])
+    plain = fit_of(
+        4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.2, follows_image=field
     )
-    whole, which = with_integrated(plain), integrated_coordinates(where)
+    plain, where = with_errors(plain), plain.geometry
+    whole, which = with_integrated(plain).data, integrated_coordinates(where)
     free, given, fixed = [], [], []
     for step in (-0.005, 0.0, 0.005):
         z = plain.z.copy()
@@ -82,12 +76,13 @@ def sampled(fit, which, data, rng):
 
 def test_an_altitude_that_is_drawn_has_the_posterior_of_one_that_is_sampled():
     fit, rng = known_law(altitude_sd=0.15), np.random.default_rng(1)
-    where, data = fit.geometry, with_integrated(fit)
+    where, whole = fit.geometry, with_integrated(fit)
+    data = whole.data
     free = np.append(sampled_coordinates(where), ALTITUDE)
     known = sampled(fit, free, sharing(data, data.errors[:-1], data.error_fitted[:-1], 1.0), rng)
     some = sampled(fit, free[:-1], data, rng)
     assert (some[..., ALTITUDE] == fit.z[ALTITUDE]).all()
-    known, told = (np.concatenate(list(v)) for v in (known, with_drawn(some, data, fit, rng)))
+    known, told = (np.concatenate(list(v)) for v in (known, with_drawn(some, whole, rng)))
     mean, sd = known[:, free].mean(axis=0), known[:, free].std(axis=0)
     assert np.abs((told[:, free].mean(axis=0) - mean) / sd).max() < 0.15
     np.testing.assert_allclose(told[:, free].std(axis=0), sd, rtol=0.15)
@@ -103,9 +98,10 @@ def test_an_altitude_that_is_drawn_has_the_posterior_of_one_that_is_sampled():
 def test_draws_stay_within_the_bounds_of_height():
     fit = known_law(altitude_sd=0.5)
     height = float(named_parameters(fit.z[None], fit.geometry)["height"][0])
-    narrow = fit._replace(geometry=fit.geometry._replace(height_most=1.02 * height))
+    whole = with_integrated(fit)
+    narrow = whole._replace(geometry=fit.geometry._replace(height_most=1.02 * height))
     points = np.tile(fit.z, (4, 500, 1))
-    drawn = with_drawn(points, with_integrated(fit), narrow, np.random.default_rng(2))
+    drawn = with_drawn(points, narrow, np.random.default_rng(2))
     heights = named_parameters(drawn, narrow.geometry)["height"]
     assert heights.max() <= 1.02 * height
     assert 0.1 < np.mean(heights > height) < 0.5  # the others are as they were
@@ -114,7 +110,7 @@ def test_draws_stay_within_the_bounds_of_height():
 def test_of_a_field_phase_and_wave_number_are_drawn():
     fit = known_law(follows_image=True)
     points = np.tile(fit.z, (2, 400, 1))
-    drawn = with_drawn(points, with_integrated(fit), fit, np.random.default_rng(3))
+    drawn = with_drawn(points, with_integrated(fit), np.random.default_rng(3))
     moved = np.flatnonzero(np.ptp(drawn.reshape(-1, COORDINATES), axis=0))
     assert list(moved) == [OFFSET, PHASE, NOISE_SLOPE, BLUR, ALTITUDE]
 
