@@ -118,6 +118,8 @@ def main() -> None:
     print(f"A_H in intervals of {', '.join(f'{x:.0%}' for x in LEVELS)}; ratio of sd, 10, 50, 90 %")
     known = sd[:, 0] < KNOWN
     for title, chosen in (("all", known | True), (f"sd < {KNOWN}", known), ("others", ~known)):
+        if not chosen.any():  # few clips may hold none of a kind
+            continue
         ratio = np.quantile(sd[chosen, 1] / sd[chosen, 0], [0.1, 0.5, 0.9])
         print(f"{title}, {chosen.sum()} clips; ratio", *(f"{r:.2f}" for r in ratio))
         for k, name in enumerate(("errors integrated out", "errors sampled")):
