@@ -1,11 +1,12 @@
 """Parameters that are integrated out of the sampled density, and drawn given the others.
 
-Altitude, blur, noise slope and, where a phase field is followed, phase and wave number change the
-expected intensity nearly linearly within their posterior. They are integrated out about the fit, to
-second order, as the errors of the model are (:mod:`sasmap.ripples.errors`), and drawn afterwards
-from their Gaussian given each draw of the others. Heights of 80 coherent cells have the posterior
-that they have if these are sampled (90 % intervals as wide within 10 % in nine of ten cells,
-medians within 0.08 of their width), for three quarters of the densities.
+Blur, noise slope, an altitude that is known well and, where a phase field is followed, phase and
+wave number change the expected intensity nearly linearly within their posterior. They are
+integrated out about the fit, to second order, as the errors of the model are
+(:mod:`sasmap.ripples.errors`), and drawn afterwards from their Gaussian given each draw of the
+others. Heights of 80 coherent cells have the posterior that they have if these are sampled (90 %
+intervals as wide within 10 % in nine of ten cells, medians within 0.08 of their width), for three
+quarters of the densities.
 """
 
 from __future__ import annotations

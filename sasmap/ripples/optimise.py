@@ -24,6 +24,10 @@ FloatArray = NDArray[np.float64]
 
 COORDINATES = 11
 OFFSET, PHASE, HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR, ALTITUDE = 0, 1, 2, 3, 6, 8, 9, 10
+# Error of the altitude over the altitude below which it is integrated out: of 40 coherent cells at
+# altitudes of 3 to 10 m, with errors of 0.1 m A_H has intervals as wide as if it were sampled, with
+# 0.25 and 0.5 m two and three cells with shadow have intervals of 0.2 to 0.7 of that width.
+KNOWN_ALTITUDE = 0.02
 # Heights of the scan: least slope (the largest is close to the steepest that sand holds), and their
 # number.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
@@ -69,10 +73,12 @@ def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
 def integrated_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     """Return the indices of those integrated out about the fit (:mod:`sasmap.ripples.nuisance`).
 
-    Where a phase field is followed, it has absorbed phase and wave number.
+    Where a phase field is followed, it has absorbed phase and wave number. An altitude that is not
+    known well moves the edges of shadow by more than is linear.
     """
     field = [OFFSET, PHASE] if geometry.follows_image else []
-    return np.array([*field, NOISE_SLOPE, BLUR, ALTITUDE])
+    known = geometry.altitude_sd < KNOWN_ALTITUDE * geometry.altitude_middle
+    return np.array([*field, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else [])])
 
 
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:

@@ -36,7 +36,7 @@ def known_law(turn=0.0, **changes):
 @pytest.mark.parametrize("field", [False, True])
 def test_the_density_is_that_at_the_best_value_of_what_is_integrated_out(field):
     plain = fit_of(
-        4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.2, follows_image=field
+        4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.1, follows_image=field
     )
     plain, where = with_errors(plain), plain.geometry
     whole, which = with_integrated(plain).data, integrated_coordinates(where)
@@ -75,7 +75,7 @@ def sampled(fit, which, data, rng):
 
 
 def test_an_altitude_that_is_drawn_has_the_posterior_of_one_that_is_sampled():
-    fit, rng = known_law(altitude_sd=0.15), np.random.default_rng(1)
+    fit, rng = known_law(altitude_sd=0.09), np.random.default_rng(1)
     where, whole = fit.geometry, with_integrated(fit)
     data = whole.data
     free = np.append(sampled_coordinates(where), ALTITUDE)
@@ -96,7 +96,7 @@ def test_an_altitude_that_is_drawn_has_the_posterior_of_one_that_is_sampled():
 
 
 def test_draws_stay_within_the_bounds_of_height():
-    fit = known_law(altitude_sd=0.5)
+    fit = known_law(altitude_sd=0.09)
     height = float(named_parameters(fit.z[None], fit.geometry)["height"][0])
     whole = with_integrated(fit)
     narrow = whole._replace(geometry=fit.geometry._replace(height_most=1.02 * height))

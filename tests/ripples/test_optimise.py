@@ -202,6 +202,7 @@ def test_free_and_sampled_coordinates():
     assert list(free_coordinates(where)) == list(range(11))
     assert list(sampled_coordinates(where)) == [0, 1, 2, 3, 4, 5, 6, 7]
     assert list(sampled_coordinates(where._replace(follows_image=True))) == [2, 3, 4, 5, 6, 7]
+    assert list(sampled_coordinates(where._replace(altitude_sd=0.2)))[-2:] == [7, 10]
     law = where._replace(fixed=FIXED)
     assert list(free_coordinates(law)) == [0, 1, 2, 5, 6, 7, 8, 9, 10]
     published = where._replace(fixed=np.array([np.nan, np.nan, 0.0, 0.0]))
