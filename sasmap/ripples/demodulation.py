@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
+from scipy.ndimage import binary_closing
 
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import box_sums
@@ -28,8 +29,8 @@ TREND_ROUNDS = 2
 RANGE_STEPS, RANGE_DEGREE = 24, 2
 # Local amplitude, over that of the clip's rippled part, below which there are no ripples.
 BARE = 0.35
-# Rippled fraction of a clip above which all of it counts as rippled.
-FULL = 0.8
+# Rippled fraction of a clip above which all of it counts as rippled: a gap at its edge is a fork.
+FULL = 0.95
 # Smallest angle from the vertical by which amplitudes are divided, rad; error from speckle over the
 # ripples' amplitude above which local amplitudes say nothing.
 STEEP, SURE = 0.05, 0.2
@@ -294,7 +295,7 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
 
     Contrast grows towards lower grazing angles, so the amplitude is divided by the angle from the
     vertical before it is compared. Where speckle hides local amplitudes, all boxes count as
-    rippled.
+    rippled. Gaps of up to two wavelengths are filled.
     """
     filled = boxes.count > 0
     angle = angles_from_vertical(image, boxes.size)
@@ -309,6 +310,9 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
         if float(np.median((np.sqrt(noise) / angle)[filled])) > SURE * high:
             continue
         rippled = filled & (level > BARE * high)
+        # gaps that forks leave have ripples around them
+        closed = binary_closing(np.pad(rippled, BOXES), iterations=BOXES)
+        rippled = filled & closed[BOXES:-BOXES, BOXES:-BOXES]
         return filled if boxes.count[rippled].sum() > FULL * boxes.count.sum() else rippled
     return filled
 

@@ -30,8 +30,9 @@ MODEL_ERROR, FIELD_ERROR, MODEL_SHIFT, FIELD_SHIFT, ERROR_CELLS = 0.025, 0.04, 0
 # Error of the expected intensity over the clip's mean, with straight crests and where a field is
 # followed: side lobes, and lit sea floor at forks and defects where the model has shadow.
 DARK_ERROR = (0.002, 0.01)
-# Floor of the intensity over the clip's mean that this error is divided by.
-LEAST_LIGHT = 1e-4
+# Expected intensity over the clip's mean below which a cell or pixel is dark, and the floor of the
+# intensity that errors of dark cells are divided by.
+DARK, LEAST_LIGHT = 0.1, 1e-4
 # Standard deviations: departure of the log of a scattering law from its family at each knot (rough
 # floors have a peak near normal incidence), and third harmonic of the profile over A_H.
 LAW_ERROR = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8)
@@ -286,6 +287,36 @@ def _displacement(fit: Fit, means: FloatArray, pixel_size: float) -> FloatArray:
     return np.asarray((shift * per_cycle(np.log(means))) ** 2)
 
 
+def local_light(pixels: FloatArray, seen: FloatArray, expected: FloatArray) -> FloatArray:
+    """Compute the error of shadows that are lit at one range: pixels times its relative variance.
+
+    A fork, an object or an edge of the ripples lights the shadows of one range; a height that is
+    wrong leaves light in those of most. It is one error for all dark cells of that range.
+
+    Parameters
+    ----------
+    pixels, seen, expected : ndarray (groups, parts)
+        Pixels and intensities of cells.
+    """
+    beyond = seen - expected
+    light = np.maximum(beyond - np.median(beyond, axis=0), 0.0) / np.maximum(seen, LEAST_LIGHT)
+    dark = expected < DARK
+    shadow = np.where(dark, pixels, 0.0).sum(axis=1, keepdims=True)
+    return np.asarray(np.where(dark, shadow * light**2, 0.0))
+
+
+def without_local_light(data: Histogram) -> Histogram:
+    """Weigh the pixels of a histogram by the error of shadows that are lit at one range."""
+    pixels, seen = in_cells(data, data.pixel_count), in_cells(data, data.intensity_sum)
+    seen = seen / np.maximum(pixels, 1.0)
+    error = local_light(pixels, seen, np.broadcast_to(np.median(seen, axis=0), seen.shape))
+    bins = data.pixel_count.shape[1]
+    weight = 1 / (1 + error[data.group][:, np.arange(bins) * ERROR_CELLS // bins])
+    return data._replace(
+        pixel_count=weight * data.pixel_count, intensity_sum=weight * data.intensity_sum
+    )
+
+
 def _shared(
     fit: Fit, whole: Histogram, means: FloatArray, pixel_size: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -306,8 +337,9 @@ def _shared(
     count = np.maximum(pixels, 1.0)
     displacement = _displacement(fit, means, pixel_size)
     displaced = total(whole.pixel_count * displacement) / count
-    brighter = np.maximum(total(whole.intensity_sum), total(whole.pixel_count * means)) / count
-    dark = (DARK_ERROR[which] / np.maximum(brighter, LEAST_LIGHT)) ** 2
+    seen, expected = total(whole.intensity_sum) / count, total(whole.pixel_count * means) / count
+    brighter = np.maximum(np.maximum(seen, expected), LEAST_LIGHT)
+    dark = (DARK_ERROR[which] / brighter) ** 2 + local_light(pixels, seen, expected) / count
     misfit = total(whole.intensity_sum / means) / count - 1
     # misfit of the bright cells
     weight = pixels * least / (least + dark)

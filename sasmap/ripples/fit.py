@@ -20,10 +20,12 @@ from sasmap.ripples.demodulation import (
     turned_back,
 )
 from sasmap.ripples.errors import (
+    DARK,
     HEIGHT_TREND,
     bin_weights,
     linearised,
     slope_error,
+    without_local_light,
 )
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import Image
@@ -73,8 +75,6 @@ TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS, LINEARISED = 2, 6, 2, 2
 LEAST_ALONG = 0.01
 # Steepest slope of a profile within the prior over that of a sine of the same height (1.76).
 PEAKED_SLOPE = 1.8
-# Expected intensity over the mean below which pixels are left out of the noise factor.
-DARK = 0.1
 
 
 class NoPlaceError(ValueError):
@@ -133,7 +133,7 @@ def fitted(
     climb: Callable[[Histogram, Geometry], list[Peak]],
 ) -> Fit:
     """Bin a clip by phase and range and climb to peaks of its posterior."""
-    data = histogram(task.image, trend, phase, task.published)
+    data = without_local_light(histogram(task.image, trend, phase, task.published))
     geometry = clip_geometry(task, phase, data)
     peaks = climb(data, geometry)
     if not peaks:
@@ -201,14 +201,13 @@ def refined(task: Task, fit: Fit) -> Fit:
         model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase.wave, phase.box, used, model)
         fit = turned(image, fit._replace(trend=trend), across_look(image, fit, fit.data, used)[0])
-        data = histogram(image, trend, fit.phase, fit.geometry.published)
-        fit = reoptimised(fit, data, fit.geometry, TREND_CLIMB)
+        whole = histogram(image, trend, fit.phase, fit.geometry.published)
+        fit = reoptimised(fit, without_local_light(whole), fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
     lit = used & (model > DARK)
     ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
     factor = noise_factor(ratio, image.per_pixel(phase.wave))
     fit = fit._replace(noise_factor=factor, explained=explained(fit))
-    whole = fit.data
     for _ in range(ERROR_ROUNDS):
         fit = reweighted(fit, whole, image.pixel_size)
     found = rivals(fit.peaks, fit.data, fit.geometry)

@@ -52,7 +52,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> FloatArr
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
-    known = geometry & phase.pixels(phase.spread_cover(), image.shape)
+    known = geometry & phase.pixels(phase.covered, image.shape)
     cycles, per_pixel = whole.cycles, whole.per_pixel(image)
 
     reach = fit.data.ground_range

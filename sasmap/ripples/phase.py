@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
-from scipy.ndimage import binary_closing
 
 from sasmap.ripples.demodulation import (
     BoxSums,
@@ -105,10 +104,6 @@ class PhaseField:
             return self.origin
         total = self.both[self.covered].sum()
         return self.origin + float(np.angle(total) / (2 * np.pi))
-
-    def spread_cover(self) -> BoolArray:
-        """Return the mask of rippled boxes with the holes among them filled."""
-        return np.asarray(binary_closing(np.pad(self.covered, 6), iterations=6)[6:-6, 6:-6])
 
     @cached_property
     def cycles(self) -> FloatArray:

@@ -7,12 +7,15 @@ import pytest
 
 from sasmap.ripples import errors
 from sasmap.ripples.errors import (
+    ERROR_CELLS,
     bin_weights,
     linearised,
+    local_light,
     slope_error,
     turned_by_errors,
     with_errors,
     with_fitted_errors,
+    without_local_light,
 )
 from sasmap.ripples.optimise import fisher_scoring, line_of_lags
 from sasmap.ripples.rendered import expected_at, pulses_of
@@ -86,6 +89,40 @@ def test_light_as_bright_as_the_clip_where_shadow_is_foretold_counts():
     light = np.where(dark, 0.5 * data.pixel_count, 0.0)
     wrong = plain._replace(data=data._replace(intensity_sum=data.intensity_sum + light))
     assert worth(wrong) < 0.1 * worth(plain)
+
+
+def lit_shadows(ranges):
+    """A fit to deep shadow that is lit in some of eight ranges, and its dark bins."""
+    plain = fit_of(8, np.ones((8, BINS)), height=0.18, noise=0.01)
+    cells = (expected_at(plain, plain.z)[0] < 0.05).all(axis=0).reshape(ERROR_CELLS, -1)
+    dark = np.repeat(cells.all(axis=1), BINS // ERROR_CELLS)
+    light = np.where(dark, 0.1 * plain.data.pixel_count, 0.0)
+    light[~np.isin(plain.data.group, ranges)] = 0.0
+    data = plain.data._replace(intensity_sum=plain.data.intensity_sum + light)
+    return plain._replace(data=data), dark
+
+
+def before_the_fit(fit):
+    data = fit.data
+    return without_local_light(data).pixel_count / data.pixel_count
+
+
+@pytest.mark.parametrize("weigh", [weights, before_the_fit])
+def test_shadows_that_are_lit_at_one_range_count_for_little_there_and_only_there(weigh):
+    plain, dark = lit_shadows([])
+    before, after = weigh(plain), weigh(lit_shadows([2])[0])
+    here = plain.data.group == 2
+    assert after[here][:, dark].sum() < 0.05 * before[here][:, dark].sum()
+    assert after[~here].sum() > 0.9 * before[~here].sum()
+    # one error of all the dark pixels of that range
+    assert (after * plain.data.pixel_count)[here][:, dark].sum() < 3
+
+
+def test_light_in_the_shadows_of_all_ranges_is_no_local_error():
+    lit, dark = lit_shadows(range(8))
+    assert before_the_fit(lit)[:, dark].min() > 0.99
+    expected = np.full((4, 3), 0.01)
+    assert (local_light(np.ones((4, 3)), expected + 0.2, expected) == 0).all()
 
 
 def test_what_the_errors_of_the_law_explain_is_no_misfit():

@@ -263,6 +263,23 @@ def test_ripples_survive_holes():
     assert abs(float(posterior.mean.height) / 0.08 - 1) < 0.15
 
 
+@pytest.mark.parametrize("wander", [0.0, 0.6])
+@pytest.mark.parametrize("patch", [np.s_[:110, :35], np.s_[150:240, 60:150]])
+def test_a_patch_without_ripples_leaves_height_by_shadow(wander, patch):
+    """Light in deep shadow at one place was taken for lower ripples of another profile."""
+    height = 0.042
+    deep = {"frequency": 1.17, "near": 39.7, "altitude": 3.35, "noise": -19.0}
+    crests = {"wander": wander, "wander_length": 6.0, "range_flattened": True}
+    clip = cell(1, "gaussian", height, **deep, **crests).clip
+    power = clip.amplitude**2
+    bare = np.random.default_rng(1).exponential(0.4 * power.mean(), power.shape)
+    power[patch] = np.maximum(bare, power)[patch]
+    posterior = estimate(altered(clip, amplitude=np.sqrt(power)), DEFAULT, rng=1)
+    mean, sd = mean_and_sd(posterior)
+    assert abs(mean - height) < 2 * sd
+    assert sd < 0.4 * height
+
+
 def test_a_wave_too_long_for_the_clip_is_not_identifiable():
     clip = zare_cobb_clip(24.4, 28.4, 0.6, 0.07)  # 2.4 wavelengths
     assert estimate(clip, rng=1).quality is Quality.NOT_IDENTIFIABLE
