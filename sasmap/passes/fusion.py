@@ -210,7 +210,10 @@ def _fused(
     distances, volumes = distances_of(looks, survey, len(cells))
     groups = [agreeing(d, s) for d, s in zip(distances, volumes, strict=True)]
     groups = together(looks, survey, groups)
-    known = _products(looks, survey, groups, settings)
+    if survey.learned and survey.looks == 1:  # it shares its law with no other
+        known = _only(cells)
+    else:
+        known = _products(looks, survey, groups, settings)
     return [
         _assembled(summaries, groups[i], distances[i], known.get(i, {}))
         for i, summaries in enumerate(cells)
@@ -303,6 +306,16 @@ def migrations(
             sd = 0.0 if k == group[0] else float(np.sqrt(before_sd**2 + now_sd**2 + carried**2))
             found[k] = (moved - round(moved)) / frequency, sd / frequency
     return tuple(found)
+
+
+def _only(cells: Sequence[Sequence[Summary | None]]) -> dict[int, dict[int, CellEstimate]]:
+    """Estimate of the cell of a survey's only good look: that of the look."""
+    return {
+        i: {k: of_summary(s)}
+        for i, summaries in enumerate(cells)
+        for k, s in enumerate(summaries)
+        if s is not None and s.quality is Quality.GOOD
+    }
 
 
 def _products(

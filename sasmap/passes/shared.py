@@ -127,6 +127,8 @@ class SurveyModel(NamedTuple):
         Whether the draws separate two populations, or there is one for each sediment.
     sediments : tuple of int
         Mapped classes with a law of their own.
+    looks : int
+        Number of good looks that it was estimated from.
     """
 
     values: tuple[Shared, ...]
@@ -134,6 +136,7 @@ class SurveyModel(NamedTuple):
     populations: tuple[Populations, ...] = ()
     apart: bool = False
     sediments: tuple[int, ...] = ()
+    looks: int = 0
 
     @property
     def draws(self) -> tuple[Populations, ...]:
@@ -351,6 +354,7 @@ def learn(
     chains = metropolis_hastings(log_density, proposal, particles, states, STEPS, rng)
     points = chains.draws[:, STEPS // 4 :].reshape(-1, layout.size)
     model = _model(points, layout, some, rank)
+    model = model._replace(looks=0 if looks is None else looks.cell.size)
     return model._replace(sediments=sediments) if layout.law else model
 
 

@@ -184,6 +184,19 @@ def test_published_method_takes_its_hand_set_widths():
     assert chain.priors[1].mean == (0.6, 0.07)
 
 
+def test_the_only_look_of_a_survey_is_its_estimate():
+    summary = summarise(estimate(coherent(3).clip, rng=1))
+    cell = fuse([None, summary], RippleSettings())
+    assert (cell.final.mean, cell.final.sd) == (summary.mean, summary.sd)
+    assert (cell.final.q05, cell.final.q95) == (summary.q05, summary.q95)
+    assert cell.group == (1,)
+    # with others it takes part in their law
+    other = summarise(estimate(coherent(4).clip, rng=1))
+    both = fuse_cells([[summary], [other]], RippleSettings())
+    assert both[0].final.mean != summary.mean
+    assert both[0].final.mean == pytest.approx(summary.mean, rel=0.1)
+
+
 def test_a_second_pass_narrows_both():
     settings = RippleSettings(scattering="lambert", scatter=(0, 0, 0))
     cells = [coherent(k, near=near, height=0.07) for k, near in enumerate((10.0, 16.0))]

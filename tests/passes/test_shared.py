@@ -190,13 +190,13 @@ def test_without_shadow_shape_does_not_fix_the_law():
 
 @pytest.mark.parametrize("seed", [3, 5])
 @pytest.mark.parametrize("shape", [0.0, None])
-def test_a_survey_of_one_look_is_hardly_wider_than_the_look(seed, shape):
+def test_a_survey_of_two_looks_is_hardly_wider_than_the_looks(seed, shape):
     # the bias of the echo shape is part of the look's own error of the law
     law = np.array([2.2, 0.1])
     look = seen(np.random.default_rng(seed), 0.8, 0.05, law, 20, shape is None, shape=shape)
     mean, covariance = (value[0] for value in look.density[1:])
     row = np.array([0, 1, 0, *-contrast_slopes(mean[3:], look.tangent)])
-    estimate = fuse_cells([[look]], SETTINGS)[0].final
+    estimate = fuse_cells([[look], [look]], SETTINGS)[0].final
     sd = np.sqrt(row @ covariance @ row)
     # of log A_H both: of a log-normal sd over mean is more than the sd of its log
     found = np.sqrt(np.log1p((estimate.sd[1] / estimate.mean[1]) ** 2))
