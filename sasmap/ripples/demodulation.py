@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
-from scipy.ndimage import binary_closing
+from scipy.ndimage import binary_closing, binary_erosion
 
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import box_sums
@@ -31,6 +31,8 @@ RANGE_STEPS, RANGE_DEGREE = 24, 2
 BARE = 0.35
 # Rippled fraction of a clip above which all of it counts as rippled: a gap at its edge is a fork.
 FULL = 0.95
+# Boxes at the edge of the ripples that may be bare: half a wavelength, as amplitudes are smoothed.
+RIM = BOXES // 2
 # Smallest angle from the vertical by which amplitudes are divided, rad; error from speckle over the
 # ripples' amplitude above which local amplitudes say nothing.
 STEEP, SURE = 0.05, 0.2
@@ -295,7 +297,7 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
 
     Contrast grows towards lower grazing angles, so the amplitude is divided by the angle from the
     vertical before it is compared. Where speckle hides local amplitudes, all boxes count as
-    rippled. Gaps of up to two wavelengths are filled.
+    rippled. Gaps of up to two wavelengths are filled, and the rim of larger ones is left out.
     """
     filled = boxes.count > 0
     angle = angles_from_vertical(image, boxes.size)
@@ -313,7 +315,10 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
         # gaps that forks leave have ripples around them
         closed = binary_closing(np.pad(rippled, BOXES), iterations=BOXES)
         rippled = filled & closed[BOXES:-BOXES, BOXES:-BOXES]
-        return filled if boxes.count[rippled].sum() > FULL * boxes.count.sum() else rippled
+        if boxes.count[rippled].sum() > FULL * boxes.count.sum():
+            return filled
+        inside = binary_erosion(rippled | ~filled, iterations=RIM, border_value=1)
+        return np.asarray(filled & inside)
     return filled
 
 

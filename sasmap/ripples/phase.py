@@ -62,7 +62,7 @@ class PhaseField:
     even, odd, both : ndarray of complex (box rows, box columns)
         Unit phasors of the field from even stripes, from odd ones, and from all.
     covered : ndarray of bool (box rows, box columns)
-        Whether a box has ripples.
+        Whether a box has ripples, without the rim of gaps.
     origin : float
         Phase of a straight wave's image at the clip's centre, cycles.
     mean_wave, wave_sd : ndarray (2,)

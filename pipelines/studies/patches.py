@@ -1,0 +1,78 @@
+"""Heights of cells in which a patch is dark, bright or has no ripples.
+
+    python pipelines/studies/patches.py [--seeds 1 2]
+
+Coherent cells in deep shadow, in some and in none, with straight and with wandering crests; a
+square patch of 40 or 90 of 260 pixels is set to a hundredth of the mean intensity (shadow of an
+object), made eight times as bright, or replaced by flat floor. Prints the cells whose A_H is far
+off or outside its 95 % interval, and coverage by kind.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from sasmap.ripples import Quality, estimate
+from sasmap.simulate import coherent_cell
+
+SIDE = 260
+SCENES = {
+    "deep shadow": dict(
+        law="gaussian", height=0.042, frequency=1.17, near=39.7, altitude=3.35, noise=-19.0,
+        range_flattened=True,
+    ),
+    "some shadow": dict(
+        law="lambert", height=0.06, frequency=0.8, near=20.0, altitude=4.0, noise=-22.0
+    ),
+    "no shadow": dict(
+        law="rough", height=0.05, frequency=0.8, near=10.0, altitude=6.0, noise=-25.0
+    ),
+}  # fmt: skip
+
+
+def patched(power: np.ndarray, kind: str, size: int, rng: np.random.Generator) -> np.ndarray:
+    """Intensity with a patch at a random place."""
+    row, column = rng.integers(0, SIDE - size, 2)
+    there = np.s_[row : row + size, column : column + size]
+    speckle = power.mean() * rng.exponential(size=(size, size))
+    changed = power.copy()
+    changed[there] = {"dark": 0.01 * speckle, "bright": 8 * power[there], "flat": speckle}[kind]
+    return changed
+
+
+def main() -> None:
+    """Print cells that are wrong, and coverage."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    options = parser.parse_args()
+    ranks = defaultdict(list)
+    for (name, scene), wander, seed in product(SCENES.items(), (0.0, 0.5), options.seeds):
+        rng = np.random.default_rng([seed, 88])
+        made = coherent_cell(
+            rng, pixel_size=0.05, shape=(SIDE, SIDE), wander=wander, wander_length=5.0, **scene
+        )
+        for kind, size in product(("dark", "bright", "flat"), (40, 90)):
+            power = patched(made.clip.amplitude**2, kind, size, rng)
+            posterior = estimate(replace(made.clip, amplitude=np.sqrt(power)), rng=seed)
+            if posterior.quality is not Quality.GOOD:
+                print(name, wander, seed, kind, size, posterior.quality.label, flush=True)
+                continue
+            draws = posterior.draws["height"].values
+            rank, mean, sd = np.mean(draws < made.height), draws.mean(), draws.std()
+            ranks[name, kind, size].append(rank)
+            if abs(rank - 0.5) > 0.475:
+                far = abs(mean - made.height) > 4 * sd + 0.2 * made.height
+                told = f"{mean:.4f} +- {sd:.4f} m instead of {made.height:.4f}"
+                print(name, wander, seed, kind, size, told, "far" if far else "", flush=True)
+    for key, values in ranks.items():
+        inside = np.sum(np.abs(np.array(values) - 0.5) < 0.45)
+        print(*key, f"good {len(values)}, in the 90 % interval {inside}")
+
+
+if __name__ == "__main__":
+    main()
