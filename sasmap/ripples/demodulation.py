@@ -312,14 +312,18 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
         if float(np.median((np.sqrt(noise) / angle)[filled])) > SURE * high:
             continue
         rippled = filled & (level > BARE * high)
-        # gaps that forks leave have ripples around them
-        closed = binary_closing(np.pad(rippled, BOXES), iterations=BOXES)
-        rippled = filled & closed[BOXES:-BOXES, BOXES:-BOXES]
+        rippled = filled & closed(rippled)  # gaps that forks leave have ripples around them
         if boxes.count[rippled].sum() > FULL * boxes.count.sum():
             return filled
         inside = binary_erosion(rippled | ~filled, iterations=RIM, border_value=1)
         return np.asarray(filled & inside)
     return filled
+
+
+def closed(boxes: BoolArray) -> BoolArray:
+    """Fill gaps of up to two wavelengths in a mask of boxes."""
+    wide = binary_closing(np.pad(boxes, BOXES), iterations=BOXES)
+    return np.asarray(wide[BOXES:-BOXES, BOXES:-BOXES])
 
 
 def angles_from_vertical(image: Image, size: int) -> FloatArray:

@@ -33,9 +33,6 @@ DARK_ERROR = (0.002, 0.01)
 # Expected intensity over the clip's mean below which a cell or pixel is dark, and the floor of the
 # intensity that errors of dark cells are divided by.
 DARK, LEAST_LIGHT = 0.1, 1e-4
-# Quantile over ranges of the light in shadow that a model is told to explain (a choice: a fork or a
-# patch lights some ranges, a height that is wrong nearly all; pipelines/studies/patches.py).
-LOCAL = 0.25
 # Standard deviations: departure of the log of a scattering law from its family at each knot (rough
 # floors have a peak near normal incidence), and third harmonic of the profile over A_H.
 LAW_ERROR = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8)
@@ -302,9 +299,7 @@ def local_light(pixels: FloatArray, seen: FloatArray, expected: FloatArray) -> F
         Pixels and intensities of cells.
     """
     beyond = seen - expected
-    light = np.maximum(beyond - np.quantile(beyond, LOCAL, axis=0), 0.0) / np.maximum(
-        seen, LEAST_LIGHT
-    )
+    light = np.maximum(beyond - np.median(beyond, axis=0), 0.0) / np.maximum(seen, LEAST_LIGHT)
     dark = expected < DARK
     shadow = np.where(dark, pixels, 0.0).sum(axis=1, keepdims=True)
     return np.asarray(np.where(dark, shadow * light**2, 0.0))
@@ -314,7 +309,7 @@ def without_local_light(data: Histogram) -> Histogram:
     """Weigh the pixels of a histogram by the error of shadows that are lit at one range."""
     pixels, seen = in_cells(data, data.pixel_count), in_cells(data, data.intensity_sum)
     seen = seen / np.maximum(pixels, 1.0)
-    error = local_light(pixels, seen, np.broadcast_to(np.quantile(seen, LOCAL, axis=0), seen.shape))
+    error = local_light(pixels, seen, np.broadcast_to(np.median(seen, axis=0), seen.shape))
     bins = data.pixel_count.shape[1]
     weight = 1 / (1 + error[data.group][:, np.arange(bins) * ERROR_CELLS // bins])
     return data._replace(

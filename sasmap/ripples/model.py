@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, uniform_filter
 
 from sasmap.ripples.clip import Clip
-from sasmap.ripples.demodulation import RIM
+from sasmap.ripples.demodulation import RIM, closed
 from sasmap.ripples.image import BoolArray, Image
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.rendered import Fit, expected_at
@@ -53,7 +53,8 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> FloatArr
     phase = fit.phase
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
-    known = geometry & phase.pixels(binary_dilation(phase.covered, iterations=RIM), image.shape)
+    inside = closed(binary_dilation(phase.covered, iterations=RIM))
+    known = geometry & phase.pixels(inside, image.shape)
     cycles, per_pixel = whole.cycles, whole.per_pixel(image)
 
     reach = fit.data.ground_range
