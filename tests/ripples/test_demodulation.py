@@ -1,9 +1,13 @@
 """A clip demodulated at its wave: the wave is found, the trend told apart from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from sasmap.ripples.demodulation import (
+    covered_boxes,
     demodulate,
     local_ratio,
     range_trend,
@@ -68,6 +72,33 @@ def test_a_lag_over_range_is_taken_off():
     assert abs(upright.turned.sum()) > 1.05 * abs(boxes.turned.sum())
     found = refined_wave(image, upright, upright.count > 0)
     assert np.abs(found - WAVE).max() < 2e-3 < 0.15 / (2 * np.pi)
+
+
+def bare(rows, columns):
+    """The image's boxes that count as rippled, with a patch of flat floor; the patch's boxes."""
+    image = image_of()
+    flat = np.random.default_rng(2).exponential(size=image.power.shape) * image.power.mean()
+    power = image.power.copy()
+    power[rows, columns] = flat[rows, columns]
+    boxes = demodulate(replace(image, power=power), WAVE)
+    patch = np.zeros(boxes.count.shape, bool)
+    size = boxes.size
+    patch[rows.start // size : rows.stop // size, columns.start // size : columns.stop // size] = 1
+    return covered_boxes(image, boxes), patch
+
+
+def test_a_bare_patch_is_left_out_but_for_its_corners():
+    covered, patch = bare(slice(60, 160), slice(80, 180))
+    assert covered[patch].mean() < 0.3
+    middle = binary_erosion(patch, iterations=6)
+    assert middle.sum() > 100
+    assert not covered[middle].any()
+    assert covered[~binary_dilation(patch, iterations=6)].all()
+
+
+def test_a_gap_as_small_as_that_of_a_fork_is_not():
+    covered, _ = bare(slice(100, 130), slice(100, 130))
+    assert covered.all()
 
 
 def test_a_model_that_fits_leaves_no_trend():

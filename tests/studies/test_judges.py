@@ -13,6 +13,7 @@ from sasmap.simulate import coherent_cell
 sys.path.append(str(Path(__file__).resolve().parents[2] / "pipelines" / "studies"))
 import heightfields
 import judged
+import patches
 import shadow_method
 
 SIZE, PIXEL = 240, 0.05
@@ -188,3 +189,16 @@ def test_points_behind_a_crest_are_left_out_and_facing_ones_are_strongest(record
     facing = (across > 21.5) & (across < 21.8)
     level = (across > 20) & (across < 20.5)
     assert strength[facing].mean() > 3 * strength[level].mean()
+
+
+def test_a_patch_changes_its_own_square_and_nothing_else():
+    rng = np.random.default_rng(1)
+    power = rng.exponential(2.0, (patches.SIDE, patches.SIDE))
+    levels = {"dark": 0.02, "bright": 16.0, "flat": 2.0}
+    for kind, level in levels.items():
+        changed = patches.patched(power, kind, 90, rng) != power
+        rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+        assert changed.sum() == rows.size * columns.size == 90**2
+        seen = patches.patched(power, kind, 90, np.random.default_rng(2))
+        mean = seen[patches.patched(power, kind, 90, np.random.default_rng(2)) != power].mean()
+        assert mean == pytest.approx(level, rel=0.1)
