@@ -353,8 +353,8 @@ def learn(
     states = particles[rng.permutation(len(particles))[:CHAINS]]
     chains = metropolis_hastings(log_density, proposal, particles, states, STEPS, rng)
     points = chains.draws[:, STEPS // 4 :].reshape(-1, layout.size)
-    model = _model(points, layout, some, rank)
-    model = model._replace(looks=0 if looks is None else looks.cell.size)
+    count = 0 if looks is None else looks.cell.size
+    model = _model(points, layout, some, rank)._replace(looks=count)
     return model._replace(sediments=sediments) if layout.law else model
 
 

@@ -214,6 +214,19 @@ def in_cells(data: Histogram, values: FloatArray) -> FloatArray:
     return np.asarray(summed.reshape(groups, ERROR_CELLS), float)
 
 
+def _to_bins(data: Histogram, cells: FloatArray) -> FloatArray:
+    """Give each bin (blocks, bins) the value of its cell (groups, parts)."""
+    bins = data.pixel_count.shape[1]
+    return np.asarray(cells[data.group][:, np.arange(bins) * ERROR_CELLS // bins])
+
+
+def weighed(data: Histogram, weight: FloatArray) -> Histogram:
+    """Return a histogram whose pixels have these weights (blocks, bins)."""
+    return data._replace(
+        pixel_count=weight * data.pixel_count, intensity_sum=weight * data.intensity_sum
+    )
+
+
 def with_fitted_errors(fit: Fit) -> FloatArray:
     """Return expected intensity (blocks, bins) with the model errors fitted to the image."""
     means = expected_at(fit, fit.z)[0]
@@ -310,11 +323,7 @@ def without_local_light(data: Histogram) -> Histogram:
     pixels, seen = in_cells(data, data.pixel_count), in_cells(data, data.intensity_sum)
     seen = seen / np.maximum(pixels, 1.0)
     error = local_light(pixels, seen, np.broadcast_to(np.median(seen, axis=0), seen.shape))
-    bins = data.pixel_count.shape[1]
-    weight = 1 / (1 + error[data.group][:, np.arange(bins) * ERROR_CELLS // bins])
-    return data._replace(
-        pixel_count=weight * data.pixel_count, intensity_sum=weight * data.intensity_sum
-    )
+    return weighed(data, 1 / (1 + _to_bins(data, error)))
 
 
 def _shared(
@@ -351,5 +360,5 @@ def _shared(
     common = np.average(shared**2 - speckle - displaced, weights=light)
     common = max((common - both / groups) / (1 - 1 / groups), 0.0) if groups > 1 else 0.0
     error = max(both - common, least)
-    own = (count * (error + dark))[whole.group][:, part]
+    own = _to_bins(whole, count * (error + dark))
     return own, pixels.sum(axis=0)[part] * (common + displacement)

@@ -25,6 +25,7 @@ from sasmap.ripples.errors import (
     bin_weights,
     linearised,
     slope_error,
+    weighed,
     without_local_light,
 )
 from sasmap.ripples.histogram import histogram
@@ -246,12 +247,7 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
     weight = bin_weights(fit, whole, pixel_size)
     # where the published model is asked for, it is taken at its word
     share = np.ones_like(weight) if fit.geometry.published else fit.noise_factor * weight
-    data = whole._replace(
-        pixel_count=weight * whole.pixel_count,
-        intensity_sum=weight * whole.intensity_sum,
-        speckle_share=share,
-    )
-    fit = fit._replace(data=data)
+    fit = fit._replace(data=weighed(whole, weight)._replace(speckle_share=share))
     for _ in range(LINEARISED):
         fit = linearised(fit)
         fit = reoptimised(fit, fit.data, fit.geometry, CLIMB)
