@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.optimise import line_of_lags
-from sasmap.ripples.rendered import Fit, expected_at, pulses_at
+from sasmap.ripples.optimise import COORDINATES, PHASE, line_of_lags
+from sasmap.ripples.rendered import Fit, expected_at, log_change, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
@@ -282,22 +282,26 @@ def slope_error(fit: Fit, whole: Histogram, pixel_size: float) -> float:
         return float(fit.phase.wave_sd[0])
     means = with_fitted_errors(fit)
     own, _ = _shared(fit, whole, means, pixel_size)
-    told = (whole.pixel_count / (fit.noise_factor + own) * per_cycle(np.log(means)) ** 2).sum(1)
+    told = (whole.pixel_count / (fit.noise_factor + own) * per_cycle(fit) ** 2).sum(1)
     apart = whole.place - np.average(whole.place, weights=told)
     return float(np.hypot(1 / np.sqrt(max(told @ apart**2, 1e-12)), fit.phase.wave_sd[0]))
 
 
-def per_cycle(logs: FloatArray) -> FloatArray:
-    """Return the derivative of values (blocks, bins) with respect to phase, per cycle."""
-    return np.asarray(0.5 * logs.shape[1] * (np.roll(logs, -1, axis=1) - np.roll(logs, 1, axis=1)))
+def per_cycle(fit: Fit) -> FloatArray:
+    """Return the derivative of the log expected intensity (blocks, bins) by phase, per cycle.
+
+    The phase of all crests is changed, as neighbouring bins may lie at different ranges.
+    """
+    step = 2 * np.pi / fit.data.pixel_count.shape[1] * np.eye(COORDINATES)[PHASE]
+    return log_change(fit, step) * 2 * np.pi / step[PHASE]
 
 
-def _displacement(fit: Fit, means: FloatArray, pixel_size: float) -> FloatArray:
+def _displacement(fit: Fit, pixel_size: float) -> FloatArray:
     """Variance of the log expected intensity due to a displacement of the pulse, (blocks, bins)."""
     shift = np.hypot(
         MODEL_SHIFT * pixel_size * fit.geometry.along, 0 if fit.phase.rigid else FIELD_SHIFT
     )
-    return np.asarray((shift * per_cycle(np.log(means))) ** 2)
+    return np.asarray((shift * per_cycle(fit)) ** 2)
 
 
 def local_light(pixels: FloatArray, seen: FloatArray, expected: FloatArray) -> FloatArray:
@@ -344,7 +348,7 @@ def _shared(
     total = partial(in_cells, whole)
     pixels = total(whole.pixel_count)
     count = np.maximum(pixels, 1.0)
-    displacement = _displacement(fit, means, pixel_size)
+    displacement = _displacement(fit, pixel_size)
     displaced = total(whole.pixel_count * displacement) / count
     seen, expected = total(whole.intensity_sum) / count, total(whole.pixel_count * means) / count
     brighter = np.maximum(np.maximum(seen, expected), LEAST_LIGHT)

@@ -30,7 +30,7 @@ def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tu
     if not fit.phase.rigid:
         return across, float(fit.phase.wave_sd[1])
     means, pixels = expected_at(fit, fit.z)[0], whole.pixel_count
-    slope, weight = per_cycle(np.log(means)), _weight(fit, whole)
+    slope, weight = per_cycle(fit), _weight(fit, whole)
     residual = _relative(image, fit, means, used)
     pull = residual * spread_bins(image, fit, used, weight * slope)[used]
     x, y = (image.project(v)[used] for v in (image.look, image.beside))

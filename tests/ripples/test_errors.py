@@ -11,6 +11,7 @@ from sasmap.ripples.errors import (
     bin_weights,
     linearised,
     local_light,
+    per_cycle,
     slope_error,
     turned_by_errors,
     with_errors,
@@ -64,6 +65,21 @@ def test_edges_of_a_pulse_tell_less_where_crests_bend():
     straight, bent = (weights(fit_of(6, np.ones((6, BINS)), rigid)) for rigid in (True, False))
     assert (bent <= straight).all()
     assert bent.min() < 0.5 * bent.max()  # flanks less than crests
+
+
+def test_the_edge_of_a_shadow_is_that_at_the_range_of_the_bins_own_pixels():
+    plain = fit_of(4, np.ones((4, BINS)), height=0.18)
+    shape = plain.data.pixel_count.shape
+    near, far = (
+        plain._replace(data=plain.data._replace(range_offset=np.full(shape, off)))
+        for off in (-0.2, 0.2)
+    )
+    even = np.arange(BINS) % 2 == 0  # of straight crests neighbours may come from other waves
+    offsets = np.where(even, 0.2, -0.2) * np.ones(shape)
+    mixed = plain._replace(data=plain.data._replace(range_offset=offsets))
+    expected = np.where(even, per_cycle(far), per_cycle(near))
+    assert np.abs(expected).max() > 30
+    assert per_cycle(mixed) == pytest.approx(expected, rel=0.02, abs=1.0)  # gains differ
 
 
 def test_a_little_light_in_shadow_costs_nothing_elsewhere():

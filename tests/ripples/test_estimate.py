@@ -198,6 +198,18 @@ def test_beats_the_printed_errors(entry, rule):
     assert h < min(error_height, 5e-6)
 
 
+@pytest.mark.parametrize("seed", [8, 10, 12])
+def test_edges_of_long_shadows_lead_no_fit_astray(seed):
+    # pixels of one phase fall on one column of the image, light or dark as a whole
+    settings = RippleSettings(scattering="zare-cobb")
+    clip = zare_cobb_clip(36.6, 48.2, 0.6, 0.07, "line-of-sight", seed)
+    posterior = estimate(clip, settings, rng=seed)
+    assert posterior.quality is Quality.GOOD
+    assert float(posterior.mean.height) == pytest.approx(0.07, abs=1.5e-3)
+    assert float(posterior.mean.frequency) == pytest.approx(0.6, abs=1.5e-3)
+    assert float(posterior.sd.frequency) < 1e-3
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_flat_sea_floor_has_no_ripples(seed):
     rng = np.random.default_rng(seed)
