@@ -293,7 +293,7 @@ def per_cycle(fit: Fit) -> FloatArray:
     The phase of all crests is changed, as neighbouring bins may lie at different ranges.
     """
     step = 2 * np.pi / fit.data.pixel_count.shape[1] * np.eye(COORDINATES)[PHASE]
-    return log_change(fit, step) * 2 * np.pi / step[PHASE]
+    return np.asarray(log_change(fit, step) * 2 * np.pi / step[PHASE])
 
 
 def _displacement(fit: Fit, pixel_size: float) -> FloatArray:
