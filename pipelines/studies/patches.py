@@ -4,8 +4,8 @@
 
 Coherent cells in deep shadow, in some and in none, with straight and with wandering crests; a
 square patch of 40 or 90 of 260 pixels is set to a hundredth of the mean intensity (shadow of an
-object), made eight times as bright, or replaced by flat floor. Prints the cells whose A_H is far
-off or outside its 95 % interval, and coverage by kind.
+object), made eight times as bright, replaced by flat floor, or has its shadows lit. Prints the
+cells whose A_H is far off or outside its 95 % interval, and coverage by kind.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from sasmap.ripples import Quality, estimate
 from sasmap.simulate import coherent_cell
 
 SIDE = 260
+KINDS = ("dark", "bright", "flat", "lit")
 SCENES = {
     "deep shadow": dict(
         law="gaussian", height=0.042, frequency=1.17, near=39.7, altitude=3.35, noise=-19.0,
@@ -41,7 +42,12 @@ def patched(power: np.ndarray, kind: str, size: int, rng: np.random.Generator) -
     there = np.s_[row : row + size, column : column + size]
     speckle = power.mean() * rng.exponential(size=(size, size))
     changed = power.copy()
-    changed[there] = {"dark": 0.01 * speckle, "bright": 8 * power[there], "flat": speckle}[kind]
+    changed[there] = {
+        "dark": 0.01 * speckle,
+        "bright": 8 * power[there],
+        "flat": speckle,
+        "lit": np.maximum(0.4 * speckle, power[there]),
+    }[kind]
     return changed
 
 
@@ -56,7 +62,7 @@ def main() -> None:
         made = coherent_cell(
             rng, pixel_size=0.05, shape=(SIDE, SIDE), wander=wander, wander_length=5.0, **scene
         )
-        for kind, size in product(("dark", "bright", "flat"), (40, 90)):
+        for kind, size in product(KINDS, (40, 90)):
             power = patched(made.clip.amplitude**2, kind, size, rng)
             posterior = estimate(replace(made.clip, amplitude=np.sqrt(power)), rng=seed)
             if posterior.quality is not Quality.GOOD:

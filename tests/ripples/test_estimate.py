@@ -277,12 +277,13 @@ def test_ripples_survive_holes():
 
 @pytest.mark.parametrize("wander", [0.0, 0.6])
 @pytest.mark.parametrize("patch", [np.s_[:110, :35], np.s_[150:240, 60:150]])
-def test_a_patch_without_ripples_leaves_height_by_shadow(wander, patch):
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_patch_without_ripples_leaves_height_by_shadow(seed, wander, patch):
     """Light in deep shadow at one place was taken for lower ripples of another profile."""
     height = 0.042
     deep = {"frequency": 1.17, "near": 39.7, "altitude": 3.35, "noise": -19.0}
     crests = {"wander": wander, "wander_length": 6.0, "range_flattened": True}
-    clip = cell(1, "gaussian", height, **deep, **crests).clip
+    clip = cell(seed, "gaussian", height, **deep, **crests).clip
     power = clip.amplitude**2
     bare = np.random.default_rng(1).exponential(0.4 * power.mean(), power.shape)
     power[patch] = np.maximum(bare, power)[patch]
