@@ -34,7 +34,7 @@ DARK_ERROR = (0.002, 0.01)
 # intensity that errors of dark cells are divided by.
 DARK, LEAST_LIGHT = 0.1, 1e-4
 # Quantile over ranges of the light in shadow beyond which it is local: where a patch lights the
-# shadows of more than half of the ranges, the median took it for lower ripples in 7 of 10 clips
+# shadows of more than half of the ranges, the median took it for lower ripples in 2 of 10 clips
 # (pipelines/studies/patches.py).
 LOCAL_LIGHT = 0.25
 # Standard deviations: departure of the log of a scattering law from its family at each knot (rough

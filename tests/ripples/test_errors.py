@@ -124,7 +124,7 @@ def before_the_fit(fit):
 
 
 @pytest.mark.parametrize(
-    "weigh, ranges", [(weights, [2]), (before_the_fit, [2]), (before_the_fit, [0, 2, 3, 5, 6])]
+    ("weigh", "ranges"), [(weights, [2]), (before_the_fit, [2]), (before_the_fit, [0, 2, 3, 5, 6])]
 )
 def test_shadows_that_are_lit_at_some_ranges_count_for_little_there_and_only_there(weigh, ranges):
     plain, dark = lit_shadows([])
