@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.optimise import COORDINATES, PHASE, line_of_lags
+from sasmap.ripples.optimise import PHASE, line_of_lags
 from sasmap.ripples.rendered import Fit, expected_at, log_change, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
@@ -259,7 +259,7 @@ def bin_weights(fit: Fit, whole: Histogram, pixel_size: float) -> FloatArray:
     ndarray (blocks, bins)
     """
     means = expected_at(fit, fit.z)[0]
-    own, common = _shared(fit, whole, means, pixel_size)
+    own, common = _shared(fit, whole, means, _displacement(fit, per_cycle(fit), pixel_size))
     return np.asarray(1 / (fit.noise_factor + own + common))
 
 
@@ -284,9 +284,9 @@ def slope_error(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     """
     if not fit.phase.rigid:
         return float(fit.phase.wave_sd[0])
-    means = with_fitted_errors(fit)
-    own, _ = _shared(fit, whole, means, pixel_size)
-    told = (whole.pixel_count / (fit.noise_factor + own) * per_cycle(fit) ** 2).sum(1)
+    means, slope = with_fitted_errors(fit), per_cycle(fit)
+    own, _ = _shared(fit, whole, means, _displacement(fit, slope, pixel_size))
+    told = (whole.pixel_count / (fit.noise_factor + own) * slope**2).sum(1)
     apart = whole.place - np.average(whole.place, weights=told)
     return float(np.hypot(1 / np.sqrt(max(told @ apart**2, 1e-12)), fit.phase.wave_sd[0]))
 
@@ -296,16 +296,19 @@ def per_cycle(fit: Fit) -> FloatArray:
 
     The phase of all crests is changed, as neighbouring bins may lie at different ranges.
     """
-    step = 2 * np.pi / fit.data.pixel_count.shape[1] * np.eye(COORDINATES)[PHASE]
-    return np.asarray(log_change(fit, step) * 2 * np.pi / step[PHASE])
+    step = 2 * np.pi / fit.data.pixel_count.shape[1]
+    return np.asarray(log_change(fit, PHASE, step) * 2 * np.pi / step)
 
 
-def _displacement(fit: Fit, pixel_size: float) -> FloatArray:
-    """Variance of the log expected intensity due to a displacement of the pulse, (blocks, bins)."""
+def _displacement(fit: Fit, slope: FloatArray, pixel_size: float) -> FloatArray:
+    """Variance of the log expected intensity due to a displacement of the pulse, (blocks, bins).
+
+    `slope` is that of :func:`per_cycle`.
+    """
     shift = np.hypot(
         MODEL_SHIFT * pixel_size * fit.geometry.along, 0 if fit.phase.rigid else FIELD_SHIFT
     )
-    return np.asarray((shift * per_cycle(fit)) ** 2)
+    return np.asarray((shift * slope) ** 2)
 
 
 def local_light(pixels: FloatArray, seen: FloatArray, expected: FloatArray) -> FloatArray:
@@ -316,8 +319,9 @@ def local_light(pixels: FloatArray, seen: FloatArray, expected: FloatArray) -> F
 
     Parameters
     ----------
-    pixels, seen, expected : ndarray (groups, parts)
+    pixels, seen : ndarray (groups, parts)
         Pixels and intensities of cells.
+    expected : ndarray (groups, parts) or (parts,)
     """
     beyond = seen - expected
     light = np.maximum(beyond - np.quantile(beyond, LOCAL_LIGHT, axis=0), 0.0)
@@ -331,20 +335,20 @@ def without_local_light(data: Histogram) -> Histogram:
     """Weigh the pixels of a histogram by the error of shadows that are lit at some ranges."""
     pixels, seen = in_cells(data, data.pixel_count), in_cells(data, data.intensity_sum)
     seen = seen / np.maximum(pixels, 1.0)
-    least = np.quantile(seen, LOCAL_LIGHT, axis=0)
-    error = local_light(pixels, seen, np.broadcast_to(least, seen.shape))
+    error = local_light(pixels, seen, np.quantile(seen, LOCAL_LIGHT, axis=0))
     return weighed(data, 1 / (1 + _to_bins(data, error)))
 
 
 def _shared(
-    fit: Fit, whole: Histogram, means: FloatArray, pixel_size: float
+    fit: Fit, whole: Histogram, means: FloatArray, displacement: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return pixel counts times the variance of the errors that they share, (blocks, bins) each.
 
     The first is for a relative error of the expected intensity shared within a cell (a group of
     range and a part of phase). The second is for a relative error and a displacement of the pulse
     shared by all pixels of a part of phase. The relative errors are estimated from the clip's own
-    misfit, the first at least MODEL_ERROR (FIELD_ERROR where a phase field is followed).
+    misfit, the first at least MODEL_ERROR (FIELD_ERROR where a phase field is followed);
+    `displacement` is that of :func:`_displacement`.
     """
     bins, noise_factor = means.shape[1], fit.noise_factor
     which = 0 if fit.phase.rigid else 1
@@ -354,7 +358,6 @@ def _shared(
     total = partial(in_cells, whole)
     pixels = total(whole.pixel_count)
     count = np.maximum(pixels, 1.0)
-    displacement = _displacement(fit, pixel_size)
     displaced = total(whole.pixel_count * displacement) / count
     seen, expected = total(whole.intensity_sum) / count, total(whole.pixel_count * means) / count
     brighter = np.maximum(np.maximum(seen, expected), LEAST_LIGHT)

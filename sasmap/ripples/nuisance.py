@@ -52,8 +52,7 @@ def prior_sd(geometry: Geometry) -> FloatArray:
 def with_integrated(fit: Fit) -> Fit:
     """Give a fit's histogram the integrated coordinates as further errors, the last ones."""
     which, sd = integrated_coordinates(fit.geometry), prior_sd(fit.geometry)
-    steps = STEP * sd[:, None] * np.eye(COORDINATES)[which]
-    shapes = np.array([log_change(fit, step) / STEP for step in steps])
+    shapes = np.array([log_change(fit, i, STEP * s) / STEP for i, s in zip(which, sd, strict=True)])
     fitted = np.concatenate([fit.data.error_fitted, fit.z[which] / sd])
     errors = np.concatenate([fit.data.errors, shapes])
     return fit._replace(data=sharing(fit.data, errors, fitted, fit.data.error_signal))

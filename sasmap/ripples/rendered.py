@@ -82,10 +82,13 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     return means, gains
 
 
-def log_change(fit: Fit, step: FloatArray) -> FloatArray:
+def log_change(fit: Fit, coordinate: int, step: float) -> FloatArray:
     """Return half the change of the log expected intensity (blocks, bins) over a step both ways."""
-    lower, higher = (np.log(expected_at(fit, z)[0]) for z in (fit.z - step, fit.z + step))
-    return np.asarray(0.5 * (higher - lower))
+    lower, higher = fit.z.copy(), fit.z.copy()
+    lower[coordinate] -= step
+    higher[coordinate] += step
+    logs = [np.log(expected_at(fit, z)[0]) for z in (lower, higher)]
+    return np.asarray(0.5 * (logs[1] - logs[0]))
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.errors import HEIGHT_STEP, HEIGHT_TREND, per_cycle, with_fitted_errors
 from sasmap.ripples.image import Image
-from sasmap.ripples.optimise import COORDINATES, HEIGHT
+from sasmap.ripples.optimise import HEIGHT
 from sasmap.ripples.rendered import Fit, expected_at, log_change, painted, spread_bins
 from sasmap.ripples.rendering import Histogram
 
@@ -51,8 +51,8 @@ def spread_of_heights(image: Image, fit: Fit, whole: Histogram, used: BoolArray)
     over range that the likelihood allows for. Where single waves differ, squares hold parts of two
     of them and crests are oblique, so that heights differ by 2 to 3 times as much.
     """
-    step = HEIGHT_STEP * np.eye(COORDINATES)[HEIGHT]
-    slope, weight = log_change(fit, step) / HEIGHT_STEP, _weight(fit, whole)
+    slope = log_change(fit, HEIGHT, HEIGHT_STEP) / HEIGHT_STEP
+    weight = _weight(fit, whole)
     size = 1 / float(np.hypot(*image.per_pixel(fit.phase.wave)))
     row, column = ((place[used] / size).astype(int) for place in np.indices(image.shape))
     square = row * (int(image.shape[1] / size) + 1) + column

@@ -201,3 +201,13 @@ def test_a_patch_changes_its_own_square_and_nothing_else():
         rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
         assert changed.sum() == rows.size * columns.size == 90**2
         assert seen[changed].mean() == pytest.approx(level, rel=0.1)
+
+
+def test_a_lit_patch_leaves_no_darkness_and_crests_as_they_are():
+    power = np.where(np.arange(patches.SIDE) % 20 < 10, 1e-6, 2.0) * np.ones((patches.SIDE, 1))
+    seen = patches.patched(power, "lit", 90, np.random.default_rng(1))
+    changed = seen != power
+    assert (seen >= power).all()
+    dark = (power < 1) & changed
+    assert 0.45 * 90**2 < dark.sum() < 0.55 * 90**2
+    assert seen[dark].mean() == pytest.approx(0.4 * power.mean(), rel=0.1)
