@@ -31,7 +31,7 @@ from sasmap.ripples.errors import (
     MODEL_SHIFT,
     THIRD_HARMONIC,
 )
-from sasmap.ripples.fit import FOUND_TO
+from sasmap.ripples.fit import ANY_PHASE, FOUND_TO
 from sasmap.ripples.optimise import COORDINATES, HEIGHT
 from sasmap.ripples.rendering import (
     LAW_BOUNDS,
@@ -90,7 +90,8 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         altitude_sd=ALTITUDE_SD,
         expected_blur=0.5 * scene.pixel * along,
         wave_sd=FOUND_TO / (scene.side * scene.pixel),
-        follows_image=False,
+        phase_sd=ANY_PHASE,
+        bent=False,
         published=False,
         shadow=LINE_OF_SIGHT,
         law_error=np.array(LAW_ERROR) * rng.standard_normal(LAW_KNOTS.size),

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.optimise import PHASE, line_of_lags
+from sasmap.ripples.optimise import PHASE
 from sasmap.ripples.rendered import Fit, expected_at, log_change, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
     error_gain,
     fill_residuals,
+    line_of_lags,
     log_posterior,
     parameters_at,
     pulses_of,
@@ -165,11 +166,10 @@ def fitted_amplitudes(fit: Fit, means: FloatArray) -> FloatArray:
     return np.asarray(error_gain(fit.data) @ (errors @ residuals.ravel() - fit.data.error_fitted))
 
 
-def turned_by_errors(fit: Fit) -> float:
-    """Compute the standard deviation of the slope of lags over range due to the model's errors.
+def turned_by_errors(fit: Fit) -> FloatArray:
+    """Compute by how much one standard deviation of each error changes the slope of lags over range.
 
-    Errors of law and profile, and heights that change over range, also turn the image's phase. With
-    straight crests their posterior given the image is used, with a phase field their prior.
+    Errors of law and profile, and heights that change over range, also turn the image's phase.
 
     Parameters
     ----------
@@ -178,21 +178,14 @@ def turned_by_errors(fit: Fit) -> float:
 
     Returns
     -------
-    float
+    ndarray (errors,)
         Cycles/m.
     """
-    data = fit.data
-    if not len(data.errors):
-        return 0.0
-    turned = []
-    for pair in _beside(fit.geometry):
+    turned = np.zeros(len(fit.data.errors))
+    for k, pair in enumerate(_beside(fit.geometry)):
         lags = [pulses_at(fit._replace(geometry=g), fit.z)[1] for g in pair]
-        turned.append(_turn(*lags) / (2 * ERROR_STEP))
-    slopes = np.array([line_of_lags(turn, data)[0] for turn in turned])
-    left = (
-        error_gain(data)[: slopes.size, : slopes.size] if fit.phase.rigid else np.eye(slopes.size)
-    )
-    return float(np.sqrt(slopes @ left @ slopes)) / (2 * np.pi)
+        turned[k] = line_of_lags(_turn(*lags), fit.data)[0] / (4 * np.pi * ERROR_STEP)
+    return turned
 
 
 def lag_per_height(fit: Fit) -> FloatArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
-from sasmap.ripples.errors import lag_per_height, turned_by_errors
+from sasmap.ripples.errors import fitted_amplitudes, lag_per_height, turned_by_errors
 from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
@@ -20,7 +20,6 @@ from sasmap.ripples.nuisance import learned, with_drawn, with_integrated
 from sasmap.ripples.optimise import (
     COORDINATES,
     free_coordinates,
-    line_of_lags,
     sampled_coordinates,
 )
 from sasmap.ripples.posterior import (
@@ -34,8 +33,13 @@ from sasmap.ripples.posterior import (
 )
 from sasmap.ripples.priors import Prior
 from sasmap.ripples.published import sample_published
-from sasmap.ripples.rendered import Fit, pulses_at
-from sasmap.ripples.rendering import log_posteriors, named_parameters
+from sasmap.ripples.rendered import Fit, expected_at, pulses_at
+from sasmap.ripples.rendering import (
+    error_gain,
+    line_of_lags,
+    log_posteriors,
+    named_parameters,
+)
 from sasmap.ripples.ridge import along_ridges
 from sasmap.ripples.sampler import mixture_of_peaks, sample
 from sasmap.ripples.settings import RippleSettings
@@ -330,11 +334,13 @@ def _labelled(
     # not tilt the phase: its slope over range has the error of speckle, and the turn by shadow and
     # lean that each draw implies
     offset = named.pop("wave_offset")
-    slope, lag = _lags(points, fit)
-    told = float((offset - slope).mean()) if fit.phase.rigid else 0.0
+    turned = turned_by_errors(fit)
+    slope, lag = _lags(points, fit, turned)
+    told = float(offset.mean()) if fit.phase.rigid else 0.0
     # crests seen square-on fall on the same pixels in every row: that error does not average out
     rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
-    tilt = float(np.sqrt(fit.tilt**2 + offset.var() / rows + turned_by_errors(fit) ** 2))
+    left = error_gain(fit.data) if fit.phase.rigid else np.eye(turned.size)
+    tilt = float(np.sqrt(fit.tilt**2 + offset.var() / rows + turned @ left @ turned))
     # what A_H differs by from the draws turns the phase as well
     error = _added_error(fit, named["height"], crossing)
     low = min(TOO_LOW * _unlike(fit), MOST_LOW)
@@ -343,9 +349,9 @@ def _labelled(
     along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
     along, across = along * stretch, across * stretch
-    cycles = fit.phase.middle + named["phase"] / (2 * np.pi)
-    if not fit.phase.rigid:
-        cycles = cycles + lag
+    cycles = fit.phase.middle + named["phase"] / (2 * np.pi) + lag
+    # a pulse depends on A_H times the wave number; it was rendered with that of the image
+    named["height"] *= (fit.geometry.along + offset) / along
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     turns = np.floor(azimuth.mean() / 180.0)
     # the same crests, with the phase counted in the opposite direction
@@ -397,19 +403,20 @@ def _turn_of_heights(fit: Fit) -> float:
     return float(spread * np.sqrt(np.mean(lag_per_height(fit) ** 2)) / (2 * np.pi))
 
 
-def _lags(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Compute the lag of the image's phase due to shadow and lean, for each draw.
+def _lags(points: FloatArray, fit: Fit, turned: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the lag of the image's phase due to shadow, lean and errors, for each draw.
 
-    Returns its slope over range, cycles/m, and its mean, cycles.
+    `turned` is as from :func:`turned_by_errors`. With straight crests the image tells the errors.
+    Returns the lag's slope over range, cycles/m, and its value at the clip's centre, cycles.
     """
-    lags = learned(points, lambda z: np.array(_lag_line(fit, z)), np.arange(COORDINATES))
+
+    def line(z: FloatArray) -> FloatArray:
+        slope, centre = line_of_lags(pulses_at(fit, z)[1], fit.data)
+        told = turned @ fitted_amplitudes(fit, expected_at(fit, z)[0]) if fit.phase.rigid else 0.0
+        return np.array([slope / (2 * np.pi) + told, centre / (2 * np.pi)])
+
+    lags = learned(points, line, np.arange(COORDINATES))
     return lags[..., 0], lags[..., 1]
-
-
-def _lag_line(fit: Fit, z: FloatArray) -> tuple[float, float]:
-    """Slope over range (cycles/m) and mean (cycles) of the lag of the image's fundamental."""
-    slope, mean, _ = line_of_lags(pulses_at(fit, z)[1], fit.data)
-    return slope / (2 * np.pi), mean / (2 * np.pi)
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:

@@ -64,10 +64,9 @@ FloatArray = NDArray[np.float64]
 
 # Expected standard deviation of a sonar's point spread function, pixels.
 POINT_SPREAD = 0.5
-# Prior standard deviation of the wave number, cycles over the clip: the accuracy of detection, and
-# how far shadow and lean may turn the image's wave from the ripple's (half a radian at either end,
-# docs/science.md).
-FOUND_TO = 0.5
+# Prior standard deviations of the image's wave number, cycles over the clip (the accuracy of
+# detection), and of its phase, rad (that of any phase); of the phase where a field has followed it.
+FOUND_TO, ANY_PHASE, FIELD_PHASE = 0.5, np.pi / np.sqrt(3), 0.1
 # Rounds in which the trend is estimated again with the pulse known, and of Fisher scoring in each;
 # rounds in which the model's errors are estimated.
 TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS, LINEARISED = 2, 6, 2, 2
@@ -149,6 +148,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     # refinement may turn a wave seen along its crests past the perpendicular to the look
     along = max(along, LEAST_ALONG * abs(across))
     lattice = POINT_SPREAD * image.pixel_size * along
+    extent = max(float(np.ptp(data.place)), image.pixel_size)
     pixels = data.pixel_count.sum(axis=1)
     middle = [float(np.average(v, weights=pixels)) for v in (data.ground_range, data.altitude)]
     law = scattering_law(settings.scattering)
@@ -166,9 +166,10 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         range_middle=middle[0],
         altitude_middle=middle[1],
         altitude_sd=task.altitude_sd,
-        wave_sd=FOUND_TO / max(float(np.ptp(data.place)), image.pixel_size),
+        wave_sd=FOUND_TO / extent if phase.rigid else FIELD_PHASE / middle[0],
+        phase_sd=ANY_PHASE if phase.rigid else FIELD_PHASE,
         expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
-        follows_image=not phase.rigid,
+        bent=not phase.rigid,
         published=task.published,
         shadow=rule,
         law_error=np.zeros(LAW_KNOTS.size),

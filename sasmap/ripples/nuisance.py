@@ -1,8 +1,7 @@
 """Parameters that are integrated out of the sampled density, and drawn given the others.
 
-Blur, noise slope, an altitude that is known well and, where a phase field is followed, phase and
-wave number change the expected intensity nearly linearly within their posterior. They are
-integrated out about the fit, to second order, as the errors of the model are
+Blur, noise slope, an altitude that is known well, and phase and wave number of the image change the
+expected intensity nearly linearly within their posterior. They are integrated out about the fit, to second order, as the errors of the model are
 (:mod:`sasmap.ripples.errors`), and drawn afterwards from their Gaussian given each draw of the
 others. Heights of 80 coherent cells have the posterior that they have if these are sampled (90 %
 intervals as wide within 10 % in nine of ten cells, medians within 0.08 of their width), for three
@@ -26,7 +25,6 @@ from sasmap.ripples.optimise import (
 )
 from sasmap.ripples.rendered import Fit, expected_at, log_change
 from sasmap.ripples.rendering import (
-    FIELD_PHASE,
     Geometry,
     error_gain,
     log_priors,
@@ -45,7 +43,7 @@ SOME = 100
 def prior_sd(geometry: Geometry) -> FloatArray:
     """Return the prior standard deviation of the integrated coordinates, (integrated,)."""
     sd = np.ones(COORDINATES)
-    sd[[OFFSET, PHASE]] = FIELD_PHASE / geometry.range_middle, FIELD_PHASE
+    sd[[OFFSET, PHASE]] = geometry.wave_sd, geometry.phase_sd
     return np.asarray(sd[integrated_coordinates(geometry)])
 
 

@@ -17,7 +17,6 @@ from sasmap.ripples.rendering import (
     fill_slopes,
     log_posterior,
     parameters_at,
-    pulses_of,
 )
 
 FloatArray = NDArray[np.float64]
@@ -73,12 +72,10 @@ def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
 def integrated_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     """Return the indices of those integrated out about the fit (:mod:`sasmap.ripples.nuisance`).
 
-    Where a phase field is followed, it has absorbed phase and wave number. An altitude that is not
-    known well moves the edges of shadow by more than is linear.
+    An altitude that is not known well moves the edges of shadow by more than is linear.
     """
-    field = [OFFSET, PHASE] if geometry.follows_image else []
     known = geometry.altitude_sd < KNOWN_ALTITUDE * geometry.altitude_middle
-    return np.array([*field, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else [])])
+    return np.array([OFFSET, PHASE, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else [])])
 
 
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
@@ -102,7 +99,6 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
             ripple = parameters_at(z, geometry)
             per_slope = contrast_per_slope(ripple.exponent, ripple.concentration, tangent)
             z[2] = np.log(height * per_slope)
-            z[:2] = _image_turned(z, data, geometry)
             level = log_posterior(z, data, geometry)
             if level > best_level:
                 best, best_level = z.copy(), level
@@ -129,37 +125,6 @@ def search(data: Histogram, geometry: Geometry) -> list[Peak]:
     if not any(shadowed(z, data, geometry) for z in starts):
         starts = starts[:FEW]
     return distinct([fisher_scoring(z, data, geometry) for z in starts], PEAKS)
-
-
-def _image_turned(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
-    """Offset of a straight wave's image from its crests: wave number (cycles/m) and phase (rad)."""
-    if geometry.follows_image:
-        return np.zeros(2)
-    ripple = parameters_at(np.append([0.0, 0.0], z[2:]), geometry)
-    slope, lag, place = line_of_lags(pulses_of(ripple, data, geometry)[1], data)
-    return np.array([slope / (2 * np.pi), lag - slope * place])
-
-
-def line_of_lags(lags: FloatArray, data: Histogram) -> tuple[float, float, float]:
-    """Fit a line to the lags of blocks.
-
-    Parameters
-    ----------
-    lags : ndarray (blocks,)
-        rad, wrapped.
-    data : Histogram
-
-    Returns
-    -------
-    slope, mean, place : float
-        Slope over the place along the look, rad/m; mean lag, rad, and mean place, m.
-    """
-    lags, weight = np.unwrap(lags), data.pixel_count.sum(axis=1)
-    weight /= weight.sum()
-    place, lag = float(weight @ data.place), float(weight @ lags)
-    apart = data.place - place
-    slope = float((weight * apart) @ (lags - lag) / max(weight @ apart**2, 1e-12))
-    return slope, lag, place
 
 
 def fisher_scoring(

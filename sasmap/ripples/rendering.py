@@ -65,8 +65,6 @@ PAST_KNOT = np.clip((LOG_SINES - LAW_KNOTS[KNOT]) / np.diff(LAW_KNOTS)[KNOT], 0.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
 # Standard deviation of the log of the blur about its expectation.
 BLUR_SD = 0.35
-# Standard deviation of the phase where a phase field has absorbed it, rad.
-FIELD_PHASE = 0.1
 # Sampling coordinates that change no pulse: phase, noise floor and its power of range.
 NO_PULSE = (1, 7, 8)
 # Relative change below which two terms of its series give its log to a relative 3e-5.
@@ -80,9 +78,9 @@ class Parameters(NamedTuple):
     Attributes
     ----------
     wave_offset : float
-        Wave number along the look minus that of the histogram, cycles/m.
+        Wave number of the image's fundamental along the look minus that of the histogram, cycles/m.
     phase : float
-        Phase of the ripple at the clip's centre minus that of the histogram, rad.
+        Phase of the image's fundamental at the clip's centre minus that of the histogram, rad.
     height : float
         A_H, half the height from trough to crest, m.
     exponent, concentration : float
@@ -177,11 +175,12 @@ class Geometry(NamedTuple):
         sonar.
     expected_blur : float
         Cycles.
-    wave_sd : float
-        Standard deviation of the wave number along the look about the histogram's, cycles/m.
-    follows_image : bool
-        Whether the histogram's phase is that of the image's fundamental (a phase field), not the
-        ripple's.
+    wave_sd, phase_sd : float
+        Prior standard deviations of the wave number along the look and of the phase about the
+        histogram's, cycles/m and rad.
+    bent : bool
+        Whether the histogram's phase is a field that follows the image's fundamental at every
+        range. Where crests are straight, it follows a line.
     published : bool
         Whether the wavelength is rendered by Zare and Cobb's equation 3.
     shadow : int
@@ -209,7 +208,8 @@ class Geometry(NamedTuple):
     altitude_sd: float
     expected_blur: float
     wave_sd: float
-    follows_image: bool
+    phase_sd: float
+    bent: bool
     published: bool
     shadow: int
     law_error: FloatArray
@@ -295,12 +295,7 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
         value -= np.log(height) + 0.5 * (ratio / geometry.steepness_sd) ** 2
     for i in range(3, z.size):
         value -= 0.5 * z[i] * z[i]
-    if geometry.follows_image:  # the phase field has absorbed phase and wave number
-        value -= 0.5 * (z[1] / FIELD_PHASE) ** 2
-        value -= 0.5 * (z[0] * geometry.range_middle / FIELD_PHASE) ** 2
-    else:
-        value -= 0.5 * (z[0] / geometry.wave_sd) ** 2
-    return value
+    return value - 0.5 * ((z[0] / geometry.wave_sd) ** 2 + (z[1] / geometry.phase_sd) ** 2)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -700,15 +695,40 @@ def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_rendered(ripple, data, geometry, pulses, lags):  # type: ignore[no-untyped-def]
-    """Fill pulses (blocks, bins) and, where a phase field is followed, their lags (blocks,), rad.
+def line_of_lags(lags, data):  # type: ignore[no-untyped-def]
+    """Fit a line to lags (blocks,), rad, which are unwrapped.
 
-    Lags are 0 elsewhere.
+    Returns its slope over the place along the look, rad/m, and its value at the clip's centre, rad.
+    """
+    total, place, mean = 0.0, 0.0, 0.0
+    for b in range(lags.size):
+        if b > 0:
+            lags[b] -= 2.0 * np.pi * np.rint((lags[b] - lags[b - 1]) / (2.0 * np.pi))
+        weight = data.pixel_count[b].sum()
+        total += weight
+        place += weight * data.place[b]
+        mean += weight * lags[b]
+    place, mean = place / total, mean / total
+    square, product = 1e-12, 0.0
+    for b in range(lags.size):
+        weight, apart = data.pixel_count[b].sum() / total, data.place[b] - place
+        square += weight * apart**2
+        product += weight * apart * (lags[b] - mean)
+    return product / square, mean - product / square * place
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_rendered(ripple, data, geometry, pulses, lags):  # type: ignore[no-untyped-def]
+    """Fill pulses (blocks, bins) and the part of their lags that the phase follows (blocks,), rad.
+
+    A phase field follows all of them, the phase of straight crests a line through them.
     """
     fill_pulses(ripple, data, geometry, pulses)
-    lags[:] = 0.0
-    if geometry.follows_image:
-        fill_lags(pulses, lags)
+    fill_lags(pulses, lags)
+    if not geometry.bent:
+        slope, centre = line_of_lags(lags, data)
+        for b in range(lags.size):
+            lags[b] = centre + slope * data.place[b]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

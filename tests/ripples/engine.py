@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from sasmap.ripples.demodulation import demodulate
-from sasmap.ripples.fit import Task, clip_geometry, fit_wave
+from sasmap.ripples.fit import ANY_PHASE, Task, clip_geometry, fit_wave
 from sasmap.ripples.histogram import histogram
 from sasmap.ripples.image import as_image
 from sasmap.ripples.optimise import fisher_scoring, search
@@ -20,6 +20,7 @@ from sasmap.ripples.rendering import (
     Histogram,
     Parameters,
     fill_expected,
+    line_of_lags,
     pulses_of,
 )
 from sasmap.ripples.settings import RippleSettings
@@ -46,7 +47,8 @@ def geometry(along, ground_range, altitude, **changes):
         altitude_sd=0.02,
         expected_blur=0.02,
         wave_sd=0.05,
-        follows_image=False,
+        phase_sd=ANY_PHASE,
+        bent=False,
         published=False,
         shadow=LINE_OF_SIGHT,
         law_error=np.zeros(LAW_KNOTS.size),
@@ -97,6 +99,14 @@ def noiseless(truth, data, where):
     full = data._replace(intensity_sum=data.pixel_count * means / gains[:, None])
     fill_expected(truth, full, where, means, gains)
     return data._replace(intensity_sum=data.pixel_count * means)
+
+
+def as_imaged(truth, data, where):
+    """Parameters that show the pulses of a ripple at its own phase, not at its image's."""
+    slope, centre = line_of_lags(pulses_of(truth, data, where)[1], data)
+    offset = -slope / (2 * np.pi)
+    height = truth.height * where.along / (where.along + offset)
+    return truth._replace(wave_offset=offset, phase=-centre, height=height)
 
 
 def harmonic(pulse, k):

@@ -18,9 +18,9 @@ from sasmap.ripples.errors import (
     with_fitted_errors,
     without_local_light,
 )
-from sasmap.ripples.optimise import fisher_scoring, line_of_lags
+from sasmap.ripples.optimise import fisher_scoring
 from sasmap.ripples.rendered import expected_at, pulses_of
-from sasmap.ripples.rendering import error_gain, log_posterior, parameters_at
+from sasmap.ripples.rendering import error_gain, line_of_lags, log_posterior, parameters_at
 from tests.ripples.engine import BINS, LAMBERT, fit_of, noiseless, ripple
 
 PIXEL = 0.03

@@ -36,7 +36,7 @@ def known_law(turn=0.0, **changes):
 @pytest.mark.parametrize("field", [False, True])
 def test_the_density_is_that_at_the_best_value_of_what_is_integrated_out(field):
     plain = fit_of(
-        4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.1, follows_image=field
+        4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.1, bent=field
     )
     plain, where = with_errors(plain), plain.geometry
     whole, which = with_integrated(plain).data, integrated_coordinates(where)
@@ -107,8 +107,9 @@ def test_draws_stay_within_the_bounds_of_height():
     assert 0.1 < np.mean(heights > height) < 0.5  # the others are as they were
 
 
-def test_of_a_field_phase_and_wave_number_are_drawn():
-    fit = known_law(follows_image=True)
+@pytest.mark.parametrize("bent", [False, True])
+def test_phase_and_wave_number_are_drawn(bent):
+    fit = known_law(bent=bent)
     points = np.tile(fit.z, (2, 400, 1))
     drawn = with_drawn(points, with_integrated(fit), np.random.default_rng(3))
     moved = np.flatnonzero(np.ptp(drawn.reshape(-1, COORDINATES), axis=0))

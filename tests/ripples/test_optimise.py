@@ -200,8 +200,7 @@ def test_gradient_with_errors_of_the_model():
 def test_free_and_sampled_coordinates():
     where = geometry(0.6, 15.0, 5.0)
     assert list(free_coordinates(where)) == list(range(11))
-    assert list(sampled_coordinates(where)) == [0, 1, 2, 3, 4, 5, 6, 7]
-    assert list(sampled_coordinates(where._replace(follows_image=True))) == [2, 3, 4, 5, 6, 7]
+    assert list(sampled_coordinates(where)) == [2, 3, 4, 5, 6, 7]
     assert list(sampled_coordinates(where._replace(altitude_sd=0.2)))[-2:] == [7, 10]
     law = where._replace(fixed=FIXED)
     assert list(free_coordinates(law)) == [0, 1, 2, 5, 6, 7, 8, 9, 10]

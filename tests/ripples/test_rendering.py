@@ -33,6 +33,7 @@ from sasmap.simulate.scattering import lit_amplitude, shadow_crest_rule, shadow_
 from tests.ripples.engine import (
     GAUSSIAN,
     LAMBERT,
+    as_imaged,
     coherent,
     empty,
     geometry,
@@ -385,11 +386,11 @@ def test_coherent_facets_show_this_pulse(law, near):
         group=0 * data.group, trend=level, intensity_sum=data.intensity_sum / level[:, None]
     )
     means, gains = np.empty(data.pixel_count.shape), np.empty(len(data.place))
-    fill_expected(truth, data, where, means, gains)
     parts = means.shape[1] // 16 * np.arange(16)
 
     def misfits(height):
-        fill_expected(truth._replace(height=height), data, where, means, gains)
+        imaged = as_imaged(truth._replace(height=height), data, where)
+        fill_expected(imaged, data, where, means, gains)
         off, square = data.intensity_sum - means * data.pixel_count, means**2 * data.pixel_count
         slope = 0.5 * (np.roll(means, -1, axis=1) - np.roll(means, 1, axis=1)) * means.shape[1]
         moved = MODEL_SHIFT * 0.05 * 0.62 * np.abs(slope) * data.pixel_count

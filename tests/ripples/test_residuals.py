@@ -6,8 +6,9 @@ import pytest
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.estimation import ONE_HEIGHT
 from sasmap.ripples.fit import fit_wave
-from sasmap.ripples.optimise import COORDINATES, HEIGHT
-from sasmap.ripples.rendered import expected_at, painted
+from sasmap.ripples.optimise import COORDINATES, HEIGHT, PHASE
+from sasmap.ripples.rendered import expected_at, painted, pulses_at
+from sasmap.ripples.rendering import line_of_lags
 from tests.ripples.engine import SHAPE, fitted_cell, summed
 
 
@@ -27,6 +28,11 @@ def test_the_wave_number_across_the_look_scatters_by_its_error(turn):
     assert 0.4 < np.sqrt(np.mean(errors**2)) < 1.7
 
 
+def lag(fit, z):
+    """Lag of the image's phase at the clip's centre, rad."""
+    return line_of_lags(pulses_at(fit, z)[1], fit.data)[1]
+
+
 def uneven(seed, spread, turn=10.0, **changes):
     """Spread of heights fitted to a cell whose single waves are made higher or lower."""
     made, image, fit = fitted_cell(seed, turn, **changes)
@@ -42,6 +48,7 @@ def uneven(seed, spread, turn=10.0, **changes):
     seen = np.empty(SHAPE)
     for k, change in enumerate(spread * rng.standard_normal(number.max() + 1)):
         z = fit.z + change * np.eye(COORDINATES)[HEIGHT]
+        z[PHASE] -= lag(fit, z) - lag(fit, fit.z)  # the crests stay where they are
         here = number == k
         seen[here] = (painted(image, fit, every, expected_at(fit, z)[0]) / equal)[here]
     clip = Clip(**{**vars(made.clip), "amplitude": made.clip.amplitude * np.sqrt(seen)})
