@@ -25,14 +25,13 @@ from sasmap.ripples import Clip, Prior, Quality, RippleSettings, estimate
 from sasmap.ripples.errors import (
     DARK_ERROR,
     ERROR_CELLS,
-    HEIGHT_TREND,
     LAW_ERROR,
     MODEL_ERROR,
     MODEL_SHIFT,
     THIRD_HARMONIC,
 )
 from sasmap.ripples.fit import ANY_PHASE, FOUND_TO
-from sasmap.ripples.optimise import COORDINATES, HEIGHT
+from sasmap.ripples.optimise import COORDINATES, HEIGHT, TREND
 from sasmap.ripples.rendering import (
     LAW_BOUNDS,
     LAW_KNOTS,
@@ -96,7 +95,6 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         shadow=LINE_OF_SIGHT,
         law_error=np.array(LAW_ERROR) * rng.standard_normal(LAW_KNOTS.size),
         third_harmonic=np.array(THIRD_HARMONIC) * rng.standard_normal(2),
-        height_trend=np.array(HEIGHT_TREND) * rng.standard_normal(3),
         fixed=np.full(4, np.nan),
         height_mean=0.0,
         height_sd=np.inf,
@@ -109,8 +107,9 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
 
 def draw_parameters(geometry: Geometry, frequency: float, rng: np.random.Generator) -> Parameters:
     """Draw from the prior of sampling coordinates, phase flat."""
+    trend = rng.standard_normal(len(TREND))
     while True:
-        z = rng.standard_normal(COORDINATES)
+        z = np.append(rng.standard_normal(COORDINATES - trend.size), trend)
         z[:2] = 0.0, rng.uniform(-np.pi, np.pi)
         steepness = geometry.steepness_middle * np.exp(geometry.steepness_sd * rng.normal())
         height = 0.5 * steepness / frequency

@@ -16,7 +16,6 @@ from sasmap.ripples.rendering import (
     error_gain,
     fill_residuals,
     line_of_lags,
-    log_posterior,
     parameters_at,
     pulses_of,
 )
@@ -42,78 +41,31 @@ LOCAL_LIGHT = 0.25
 # floors have a peak near normal incidence), and third harmonic of the profile over A_H.
 LAW_ERROR = (0.15, 0.2, 0.3, 0.35, 0.35, 0.8)
 THIRD_HARMONIC = (0.03, 0.03)
-# Change of log A_H over the range of a clip: standard deviations of its first cosines; and step of
-# finite differences with respect to log A_H. Of 53 cells of an independent simulator, whose heights
-# change by factors of 1.3 to 10 or come in groups, 8 were off by 4 standard deviations and 20 %
-# without it, 1 with 0.07 and 1 with 0.1, where calibration is worse
-# (pipelines/ripples/calibration.py).
-HEIGHT_TREND, HEIGHT_STEP = (0.07, 0.07, 0.07), 0.05
-# Step of the finite difference for the errors above, standard deviations; shares of the step to
-# the fitted heights that are tried in turn.
-ERROR_STEP, SHARES = 0.7, (1.0, 0.5, 0.25)
+# Steps of finite differences: of log A_H, and of the errors above, standard deviations.
+HEIGHT_STEP, ERROR_STEP = 0.05, 0.7
 # Least share of the mean intensity that is not noise floor, by which errors are scaled.
 LEAST_SIGNAL = 0.01
 # Standard deviation of the pulse's second harmonic, over its mean, where crests bend.
 FIELD_HARMONIC = 0.03
 
 
-def linearised(fit: Fit) -> Fit:
-    """Fit the heights' change over range at a fit's peak, and linearise the model errors there.
-
-    A shadow's edge moves with the height: linear about equal heights, the errors of a height that
-    changes do not fit what it does to the edge, and bias A_H.
-
-    Returns
-    -------
-    Fit
-        With the same peaks.
-    """
-    fit = with_errors(fit)
-    if fit.geometry.published:
-        return fit
-    end = len(_beside(fit.geometry))
-    heights = slice(end - len(HEIGHT_TREND), end)
-    here, level = fit.data.error_fitted[heights], _level(fit, heights)
-    step = fitted_amplitudes(fit, expected_at(fit, fit.z)[0])[heights]
-    for share in SHARES:
-        trend = np.array(HEIGHT_TREND) * (here + share * step)
-        other = with_errors(fit._replace(geometry=fit.geometry._replace(height_trend=trend)))
-        if _level(other, heights) > level:
-            return other
-    return fit
-
-
-def _level(fit: Fit, held: slice) -> float:
-    """Log posterior of a fit's peak and of some errors at what the geometry contains of them."""
-    data, fitted = fit.data, fit.data.error_fitted
-    others = np.delete(data.errors, held, axis=0)
-    left = sharing(data, others, np.delete(fitted, held), data.error_signal)
-    return float(log_posterior(fit.z, left, fit.geometry) - 0.5 * fitted[held] @ fitted[held])
-
-
 def with_errors(fit: Fit) -> Fit:
     """Give a fit's histogram the model errors that all bins share.
 
-    The errors are the crest profile's third harmonic, the scattering law's departure from its
-    family, and heights that change over range; where a phase field is followed, also that the
-    pulse of crests of many wavelengths and directions differs from that of their mean. About those
-    that the geometry contains they are integrated out to second order.
+    The errors are the crest profile's third harmonic and the scattering law's departure from its
+    family; where a phase field is followed, also that the pulse of crests of many wavelengths and
+    directions differs from that of their mean. They are integrated out to second order.
     """
     data, geometry = fit.data, fit.geometry
-    fitted = np.zeros(0)
     errors = [_slope_of(fit, lower, higher) for lower, higher in _beside(geometry)]
-    if not geometry.published:
-        trend = geometry.height_trend / HEIGHT_TREND
-        fitted = np.concatenate([np.zeros(len(errors) - trend.size), trend])
     if not fit.phase.rigid:
         bins = data.pixel_count.shape[1]
         angle = 2 * np.pi * ((np.arange(bins) + 0.5) / bins + data.phase_offset)
         errors += [FIELD_HARMONIC * np.cos(2 * angle), FIELD_HARMONIC * np.sin(2 * angle)]
-        fitted = np.append(fitted, [0.0, 0.0])
     if not errors:
         return fit
     signal = max(1.0 - parameters_at(fit.z, geometry).noise, LEAST_SIGNAL)
-    return fit._replace(data=sharing(data, np.array(errors), fitted, signal))
+    return fit._replace(data=sharing(data, np.array(errors), np.zeros(len(errors)), signal))
 
 
 def sharing(data: Histogram, errors: FloatArray, fitted: FloatArray, signal: float) -> Histogram:
@@ -134,14 +86,12 @@ def sharing(data: Histogram, errors: FloatArray, fitted: FloatArray, signal: flo
 
 
 def _beside(geometry: Geometry) -> list[tuple[Geometry, Geometry]]:
-    """Geometries with each error ERROR_STEP standard deviations lower and higher, heights last."""
+    """Geometries with each error ERROR_STEP standard deviations lower and higher."""
     kinds: dict[str, tuple[float, ...]] = {}
     if not geometry.published:
         kinds["third_harmonic"] = THIRD_HARMONIC
     if np.isnan(geometry.fixed[0]):
         kinds["law_error"] = LAW_ERROR
-    if not geometry.published:
-        kinds["height_trend"] = HEIGHT_TREND
     pairs = []
     for name, sd in kinds.items():
         for step in ERROR_STEP * np.diag(sd):
@@ -159,7 +109,7 @@ def _slope_of(fit: Fit, lower: Geometry, higher: Geometry) -> FloatArray:
 
 
 def fitted_amplitudes(fit: Fit, means: FloatArray) -> FloatArray:
-    """Amplitudes of the errors in the image beyond those that the geometry contains, (errors,)."""
+    """Amplitudes of the errors in the image beyond those that the fit contains, (errors,)."""
     residuals = np.empty(means.shape)
     fill_residuals(means, fit.data, residuals, np.empty(means.shape))
     errors = fit.data.errors.reshape(len(fit.data.errors), -1)
@@ -169,7 +119,7 @@ def fitted_amplitudes(fit: Fit, means: FloatArray) -> FloatArray:
 def turned_by_errors(fit: Fit) -> FloatArray:
     """Compute by how much one standard deviation of each error changes the slope of lags over range.
 
-    Errors of law and profile, and heights that change over range, also turn the image's phase.
+    Errors of law and profile also turn the image's phase.
 
     Parameters
     ----------

@@ -21,11 +21,10 @@ from sasmap.ripples.demodulation import (
 )
 from sasmap.ripples.errors import (
     DARK,
-    HEIGHT_TREND,
     bin_weights,
-    linearised,
     slope_error,
     weighed,
+    with_errors,
     without_local_light,
 )
 from sasmap.ripples.histogram import histogram
@@ -174,7 +173,6 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         shadow=rule,
         law_error=np.zeros(LAW_KNOTS.size),
         third_harmonic=np.zeros(2),
-        height_trend=np.zeros(len(HEIGHT_TREND)),
         fixed=fixed,
         height_mean=prior.mean[1],
         height_sd=prior.sd[1],
@@ -250,9 +248,9 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
     share = np.ones_like(weight) if fit.geometry.published else fit.noise_factor * weight
     fit = fit._replace(data=weighed(whole, weight)._replace(speckle_share=share))
     for _ in range(LINEARISED):
-        fit = linearised(fit)
+        fit = with_errors(fit)
         fit = reoptimised(fit, fit.data, fit.geometry, CLIMB)
-    return linearised(fit)
+    return with_errors(fit)
 
 
 def explained(fit: Fit) -> float:

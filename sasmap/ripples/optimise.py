@@ -21,8 +21,9 @@ from sasmap.ripples.rendering import (
 
 FloatArray = NDArray[np.float64]
 
-COORDINATES = 11
+COORDINATES = 14
 OFFSET, PHASE, HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR, ALTITUDE = 0, 1, 2, 3, 6, 8, 9, 10
+TREND = (11, 12, 13)
 # Error of the altitude over the altitude below which it is integrated out: of 40 coherent cells at
 # altitudes of 3 to 10 m, with errors of 0.1 m A_H has intervals as wide as if it were sampled, with
 # 0.25 and 0.5 m two and three cells with shadow have intervals of 0.2 to 0.7 of that width.
@@ -65,17 +66,20 @@ class Peak(NamedTuple):
 
 def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     """Return the indices of the coordinates that are estimated, not fixed by the settings."""
-    fixed = np.isfinite(geometry.fixed)
-    return np.asarray([i for i in range(COORDINATES) if not (3 <= i < 7 and fixed[i - 3])])
+    fixed = LAW + np.flatnonzero(np.isfinite(geometry.fixed))
+    held = [*fixed, *TREND] if geometry.published else fixed
+    return np.setdiff1d(np.arange(COORDINATES), held)
 
 
 def integrated_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     """Return the indices of those integrated out about the fit (:mod:`sasmap.ripples.nuisance`).
 
-    An altitude that is not known well moves the edges of shadow by more than is linear.
+    An altitude that is not known well moves the edges of shadow by more than is linear, and so do
+    heights that change over range.
     """
     known = geometry.altitude_sd < KNOWN_ALTITUDE * geometry.altitude_middle
-    return np.array([OFFSET, PHASE, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else [])])
+    level = [] if geometry.shadow or geometry.published else TREND
+    return np.array([OFFSET, PHASE, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else []), *level])
 
 
 def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:

@@ -65,6 +65,13 @@ PAST_KNOT = np.clip((LOG_SINES - LAW_KNOTS[KNOT]) / np.diff(LAW_KNOTS)[KNOT], 0.
 NOISE_LOG, NOISE_SLOPE = (float(np.log(0.01)), 1.5), (1.0, 1.25)
 # Standard deviation of the log of the blur about its expectation.
 BLUR_SD = 0.35
+# Least altitude over that from the navigation (a choice).
+LEAST_SCALE = 0.1
+# Change of log A_H over the range of a clip: standard deviations of its first cosines. Of 53 cells
+# of an independent simulator, whose heights change by factors of 1.3 to 10 or come in groups, 8 were
+# off by 4 standard deviations and 20 % without it, 1 with 0.07 and 1 with 0.1, where calibration is
+# worse (pipelines/ripples/calibration.py).
+HEIGHT_TREND = (0.07, 0.07, 0.07)
 # Sampling coordinates that change no pulse: phase, noise floor and its power of range.
 NO_PULSE = (1, 7, 8)
 # Relative change below which two terms of its series give its log to a relative 3e-5.
@@ -94,6 +101,8 @@ class Parameters(NamedTuple):
         Standard deviation of the image's blur along the look, cycles.
     altitude_scale : float
         True altitude over the altitude from the navigation.
+    trend_1, trend_2, trend_3 : float
+        Change of log A_H over the clip's range: amplitudes of its first cosines.
     """
 
     wave_offset: float
@@ -107,6 +116,9 @@ class Parameters(NamedTuple):
     noise_slope: float
     blur: float
     altitude_scale: float
+    trend_1: float = 0.0
+    trend_2: float = 0.0
+    trend_3: float = 0.0
 
 
 class Histogram(NamedTuple):
@@ -139,7 +151,7 @@ class Histogram(NamedTuple):
     error_signal : float
         Share of the mean intensity that was not noise floor where the errors were computed.
     error_fitted : ndarray (errors,)
-        Amplitude of each that the geometry already contains, standard deviations.
+        Amplitude of each that the fit already contains, standard deviations.
     speckle_share : ndarray (blocks, bins)
         Speckle's share of the variance of each bin's relative residual; the rest is the model's.
     """
@@ -189,8 +201,6 @@ class Geometry(NamedTuple):
         Departure of the log of the scattering law from its family, at the knots.
     third_harmonic : ndarray (2,)
         Third harmonic of the crest profile over A_H, sine and cosine.
-    height_trend : ndarray (3,)
-        Change of log A_H over the clip's range: amplitudes of its first cosines.
     fixed : ndarray (4,)
         Exponent, concentration, peakedness and asymmetry where they are fixed; NaN where they are
         estimated.
@@ -214,7 +224,6 @@ class Geometry(NamedTuple):
     shadow: int
     law_error: FloatArray
     third_harmonic: FloatArray
-    height_trend: FloatArray
     fixed: FloatArray
     height_mean: float
     height_sd: float
@@ -253,7 +262,7 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
     rough = contrast / max(contrast_per_slope(exponent, concentration, tangent), 1e-9)
     # altitude may have been measured over a crest or a trough
     sd = np.sqrt(geometry.altitude_sd**2 + 0.5 * rough * rough)
-    scale = max(1.0 + z[10] * sd / middle, 0.1)
+    scale = max(1.0 + z[10] * sd / middle, LEAST_SCALE)
     # keeps coordinates 2 and 10 independent where shadow and contrast give height over altitude
     per_slope = contrast_per_slope(exponent, concentration, tangent * scale)
     height = contrast / per_slope if per_slope > 0.0 else np.inf
@@ -269,6 +278,9 @@ def parameters_at(z, geometry):  # type: ignore[no-untyped-def]
         NOISE_SLOPE[0] + NOISE_SLOPE[1] * z[8],
         geometry.expected_blur * np.exp(BLUR_SD * z[9]),
         scale,
+        HEIGHT_TREND[0] * z[11],
+        HEIGHT_TREND[1] * z[12],
+        HEIGHT_TREND[2] * z[13],
     )
 
 
@@ -277,6 +289,8 @@ def log_prior(z, ripple, geometry):  # type: ignore[no-untyped-def]
     """Log prior density of the sampling coordinates, up to a constant."""
     height = ripple.height
     if not geometry.height_least <= height <= geometry.height_most:
+        return -np.inf
+    if not ripple.altitude_scale > LEAST_SCALE:
         return -np.inf
     if max(abs(ripple.peakedness), abs(ripple.asymmetry)) > MOST_HARMONIC:
         return -np.inf
@@ -450,14 +464,13 @@ def fill_facets(height, wave, across, profile, facets):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_scales(trend, place, scales):  # type: ignore[no-untyped-def]
+def fill_scales(ripple, place, scales):  # type: ignore[no-untyped-def]
     """Fill A_H at each block over its mean (geometric), from cosines over range of its log."""
     near, far = place.min(), place.max()
     for b in range(place.size):
-        change = 0.0
-        for k in range(trend.size):
-            change += trend[k] * np.cos(np.pi * (k + 1) * (place[b] - near) / max(far - near, 1e-9))
-        scales[b] = np.exp(change)
+        angle = np.pi * (place[b] - near) / max(far - near, 1e-9)
+        change = ripple.trend_1 * np.cos(angle) + ripple.trend_2 * np.cos(2.0 * angle)
+        scales[b] = np.exp(change + ripple.trend_3 * np.cos(3.0 * angle))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -592,7 +605,8 @@ def fill_pulses(ripple, data, geometry, pulses):  # type: ignore[no-untyped-def]
     facets, power, place = np.empty((5, n)), np.empty(n), np.empty(n)
     profile, scales = np.empty((2, n)), np.ones(blocks)
     law, pulse, kernel = np.empty((2, NODES)), np.empty(bins), np.empty(bins)
-    wave, varies = geometry.along + ripple.wave_offset, geometry.height_trend.any()
+    wave = geometry.along + ripple.wave_offset
+    varies = ripple.trend_1 != 0.0 or ripple.trend_2 != 0.0 or ripple.trend_3 != 0.0
     reach, crest = fill_blur(ripple.blur * bins, kernel), -1
     if not geometry.published:
         fill_law(ripple.exponent, ripple.concentration, geometry.law_error, law)
@@ -600,7 +614,7 @@ def fill_pulses(ripple, data, geometry, pulses):  # type: ignore[no-untyped-def]
         fill_profile(ripple.peakedness, ripple.asymmetry, third, profile[0], profile[1])
         crest = int(np.argmax(profile[0]))
         if varies:
-            fill_scales(geometry.height_trend, data.place, scales)
+            fill_scales(ripple, data.place, scales)
     before, stride, steepest = 0, 1 if geometry.shadow else RENDERED, 0.0
     for b in range(blocks):
         if b % stride != 0 and b < blocks - 1:

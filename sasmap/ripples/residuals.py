@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
-from sasmap.ripples.errors import HEIGHT_STEP, HEIGHT_TREND, per_cycle, with_fitted_errors
+from sasmap.ripples.errors import HEIGHT_STEP, per_cycle, with_fitted_errors
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import HEIGHT
 from sasmap.ripples.rendered import Fit, expected_at, log_change, painted, spread_bins
-from sasmap.ripples.rendering import Histogram
+from sasmap.ripples.rendering import HEIGHT_TREND, Histogram
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

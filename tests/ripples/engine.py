@@ -53,7 +53,6 @@ def geometry(along, ground_range, altitude, **changes):
         shadow=LINE_OF_SIGHT,
         law_error=np.zeros(LAW_KNOTS.size),
         third_harmonic=np.zeros(2),
-        height_trend=np.zeros(3),
         fixed=np.full(4, np.nan),
         height_mean=0.25,
         height_sd=np.inf,
