@@ -87,6 +87,11 @@ def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     return np.setdiff1d(free_coordinates(geometry), integrated_coordinates(geometry))
 
 
+def searched_coordinates(geometry: Geometry) -> NDArray[np.int64]:
+    """Return the indices of those in which the first climbs are made: the rest change little."""
+    return np.setdiff1d(free_coordinates(geometry), [NOISE_SLOPE, BLUR, ALTITUDE, *TREND])
+
+
 def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
     """Find starting points: the best height for each of a few laws and asymmetries."""
     tangent = geometry.altitude_middle / geometry.range_middle
@@ -113,8 +118,8 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
 
 def glance(data: Histogram, geometry: Geometry) -> list[Peak]:
     """Find a likely peak quickly."""
-    starts = scan(data, geometry)[:FEW]
-    return distinct([fisher_scoring(z, data, geometry, CLIMB) for z in starts], 1)
+    starts, free = scan(data, geometry)[:FEW], searched_coordinates(geometry)
+    return distinct([fisher_scoring(z, data, geometry, CLIMB, free) for z in starts], 1)
 
 
 def search(data: Histogram, geometry: Geometry) -> list[Peak]:
@@ -128,7 +133,8 @@ def search(data: Histogram, geometry: Geometry) -> list[Peak]:
     starts = scan(data, geometry)
     if not any(shadowed(z, data, geometry) for z in starts):
         starts = starts[:FEW]
-    return distinct([fisher_scoring(z, data, geometry) for z in starts], PEAKS)
+    free = searched_coordinates(geometry)
+    return distinct([fisher_scoring(z, data, geometry, ROUNDS, free) for z in starts], PEAKS)
 
 
 def fisher_scoring(
