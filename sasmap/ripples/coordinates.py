@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.ripples.optimise import HEIGHT, LAW, Peak, free_coordinates
+from sasmap.ripples.optimise import HEIGHT, LAW, Peak
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT, Geometry
 
 FloatArray = NDArray[np.float64]
@@ -26,17 +26,18 @@ class Coordinates:
     Parameters
     ----------
     peaks : list of Peak
-        Their `level` is the log of their mass.
+        Their `level` is the log of their mass, their covariance that of `free`.
     geometry : Geometry
+    free : ndarray of int
+        Indices of the coordinates that are sampled.
     """
 
-    def __init__(self, peaks: list[Peak], geometry: Geometry) -> None:
+    def __init__(self, peaks: list[Peak], geometry: Geometry, free: NDArray[np.int64]) -> None:
         self._tangent = geometry.altitude_middle / geometry.range_middle
         self.by_height = False
         self.peaks = peaks
         if not np.isnan(geometry.fixed[0]):
             return
-        free = free_coordinates(geometry)
         at = int(np.flatnonzero(free == HEIGHT)[0])
         turned = [self._turned(p, free) for p in peaks]
         self.by_height = _variance(turned, at) < _variance(peaks, at)

@@ -19,6 +19,7 @@ from sasmap.ripples.model import modelled
 from sasmap.ripples.nuisance import learned, with_drawn, with_integrated
 from sasmap.ripples.optimise import (
     COORDINATES,
+    Peak,
     free_coordinates,
     sampled_coordinates,
 )
@@ -287,13 +288,17 @@ def draw_points(
 
     Returns the accepted fraction and whether the chains converged as well.
     """
-    free = free_coordinates(fit.geometry)
     sampled = sampled_coordinates(fit.geometry)
-
-    ridge = along_ridges(fit.peaks, fit.data, fit.geometry)
-    coordinates = Coordinates(ridge, fit.geometry)
-    rest = coordinates.to_sampling(fit.z)
+    keep = np.ix_(*[np.isin(free_coordinates(fit.geometry), sampled)] * 2)
+    peaks = []
+    for peak in fit.peaks:
+        z = fit.z.copy()
+        z[sampled] = peak.z[sampled]
+        peaks.append(Peak(z, peak.level, peak.covariance[keep]))
     fit = with_integrated(fit)
+    ridge = along_ridges(peaks, fit.data, fit.geometry, sampled)
+    coordinates = Coordinates(ridge, fit.geometry, sampled)
+    rest = coordinates.to_sampling(fit.z)
 
     def whole(points: FloatArray) -> FloatArray:
         every = np.broadcast_to(rest, (*points.shape[:-1], COORDINATES)).copy()
@@ -303,9 +308,8 @@ def draw_points(
     def log_density(points: FloatArray) -> FloatArray:
         return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
 
-    keep = np.ix_(*[np.isin(free, sampled)] * 2)
     proposal = mixture_of_peaks(
-        [(p.z[sampled], p.covariance[keep], p.level) for p in coordinates.peaks]
+        [(p.z[sampled], p.covariance, p.level) for p in coordinates.peaks]
     )
 
     def suffice(draws: FloatArray) -> bool:

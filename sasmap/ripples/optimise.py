@@ -160,7 +160,7 @@ def fisher_scoring(
     free = free_coordinates(geometry) if free is None else free
     z, level = start.copy(), log_posterior(start, data, geometry)
     damping = 1e-3
-    gradient, information = _slope(z, data, geometry, free)
+    gradient, information = slope_at(z, data, geometry, free)
     for _ in range(rounds):
         scale = np.diag(information)
         step = covariance_of(information + damping * np.diag(scale)) @ gradient
@@ -171,7 +171,7 @@ def fisher_scoring(
         if reached > level:
             gain, z, level = reached - level, trial, reached
             damping = max(damping / 5, 1e-6)
-            gradient, information = _slope(z, data, geometry, free)
+            gradient, information = slope_at(z, data, geometry, free)
             if gain < ENOUGH:
                 break
         else:
@@ -253,12 +253,7 @@ def distinct(peaks: list[Peak], most: int) -> list[Peak]:
     return kept[:most]
 
 
-def information_at(z: FloatArray, data: Histogram, geometry: Geometry) -> FloatArray:
-    """Return the expected information of the free coordinates, (free, free)."""
-    return _slope(z, data, geometry, free_coordinates(geometry))[1]
-
-
-def _slope(
+def slope_at(
     z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log posterior and its expected information, over the free coordinates."""

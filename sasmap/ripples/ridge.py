@@ -17,8 +17,7 @@ from sasmap.ripples.optimise import (
     Peak,
     covariance_of,
     fisher_scoring,
-    free_coordinates,
-    information_at,
+    slope_at,
 )
 from sasmap.ripples.rendering import Geometry, Histogram, log_posterior
 
@@ -40,12 +39,13 @@ OVERLAP, WIDEST = 0.7, 1.5
 class _Place:
     """A place on the ridge: the peak at an exponent, and a Gaussian about it."""
 
-    def __init__(self, z: FloatArray, data: Histogram, geometry: Geometry) -> None:
-        free = free_coordinates(geometry)
+    def __init__(
+        self, z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
+    ) -> None:
         other = free != LAW
         peak = fisher_scoring(z, data, geometry, ROUNDS, free[other])
         self.z = peak.z
-        information = information_at(peak.z, data, geometry)
+        information = slope_at(peak.z, data, geometry, free)[1]
         covariance = covariance_of(information)
         self.law = int(np.flatnonzero(~other)[0])
         self.variance = float(covariance[self.law, self.law])
@@ -62,15 +62,19 @@ class _Place:
         return z
 
 
-def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list[Peak]:
+def along_ridges(
+    peaks: list[Peak], data: Histogram, geometry: Geometry, free: NDArray[np.int64]
+) -> list[Peak]:
     """Follow the ridge of each peak to both sides.
 
     Parameters
     ----------
     peaks : list of Peak
-        The likeliest first.
+        The likeliest first, with the covariance of `free`.
     data : Histogram
     geometry : Geometry
+    free : ndarray of int
+        Indices of the coordinates that are sampled.
 
     Returns
     -------
@@ -81,11 +85,10 @@ def along_ridges(peaks: list[Peak], data: Histogram, geometry: Geometry) -> list
     known = [p for p in peaks if p.level > peaks[0].level - NEGLIGIBLE]
     if not np.isnan(geometry.fixed[0]):
         return [p._replace(level=p.level - peaks[0].level) for p in known]
-    free = free_coordinates(geometry)
     found: list[Peak] = []
     for peak in known:
         if not any(_holds(place, peak.z[free] - place.z[free]) for place in found):
-            found += _walked(peak, data, geometry)
+            found += _walked(peak, data, geometry, free)
     most = max(p.level for p in found)
     return [p._replace(level=p.level - most) for p in found if p.level > most - NOTHING]
 
@@ -95,10 +98,11 @@ def _holds(place: Peak, offset: FloatArray) -> bool:
     return bool(offset @ np.linalg.solve(place.covariance, offset) < offset.size)
 
 
-def _walked(peak: Peak, data: Histogram, geometry: Geometry) -> list[Peak]:
+def _walked(
+    peak: Peak, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
+) -> list[Peak]:
     """Places along the ridge of one peak, sorted by exponent."""
-    start = _Place(peak.z, data, geometry)
-    free = free_coordinates(geometry)
+    start = _Place(peak.z, data, geometry, free)
     most = start.mass
     ridge = [start]
     for sign in (-1.0, 1.0):
@@ -111,7 +115,7 @@ def _walked(peak: Peak, data: Histogram, geometry: Geometry) -> list[Peak]:
                 step /= 2
             else:
                 break
-            place = _Place(place.beside(step, free), data, geometry)
+            place = _Place(place.beside(step, free), data, geometry, free)
             ridge.append(place)
             most = max(most, place.mass)
             if place.mass < most - END:
