@@ -16,12 +16,16 @@ from sasmap.ripples.extent import ripple_extent
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import Image, as_image, on_clip
 from sasmap.ripples.model import modelled
-from sasmap.ripples.nuisance import learned, with_drawn, with_integrated
+from sasmap.ripples.nuisance import (
+    integrated_coordinates,
+    learned,
+    with_drawn,
+    with_integrated,
+)
 from sasmap.ripples.optimise import (
     COORDINATES,
     Peak,
     free_coordinates,
-    sampled_coordinates,
 )
 from sasmap.ripples.posterior import (
     NOTHING,
@@ -288,14 +292,15 @@ def draw_points(
 
     Returns the accepted fraction and whether the chains converged as well.
     """
-    sampled = sampled_coordinates(fit.geometry)
-    keep = np.ix_(*[np.isin(free_coordinates(fit.geometry), sampled)] * 2)
+    free, integrated = free_coordinates(fit.geometry), integrated_coordinates(fit)
+    sampled = np.setdiff1d(free, integrated)
+    keep = np.ix_(*[np.isin(free, sampled)] * 2)
     peaks = []
     for peak in fit.peaks:
         z = fit.z.copy()
         z[sampled] = peak.z[sampled]
         peaks.append(Peak(z, peak.level, peak.covariance[keep]))
-    fit = with_integrated(fit)
+    fit = with_integrated(fit, integrated)
     ridge = along_ridges(peaks, fit.data, fit.geometry, sampled)
     coordinates = Coordinates(ridge, fit.geometry, sampled)
     rest = coordinates.to_sampling(fit.z)
@@ -316,7 +321,7 @@ def draw_points(
         return converged(named_parameters(whole(draws), fit.geometry)["height"])
 
     chains, done = sample(log_density, proposal, suffice, settings.chains, settings.draws, rng)
-    return with_drawn(whole(chains.draws), fit, rng), chains.accepted, done
+    return with_drawn(whole(chains.draws), fit, integrated, rng), chains.accepted, done
 
 
 def _labelled(

@@ -1,7 +1,8 @@
 """Parameters that are integrated out of the sampled density, and drawn given the others.
 
-Blur, noise slope, an altitude that is known well, and phase and wave number of the image change the
-expected intensity nearly linearly within their posterior. They are integrated out about the fit, to second order, as the errors of the model are
+Blur, noise slope, an altitude that is known well, phase and wave number of the image, and in most
+clips heights that change over range, change the expected intensity nearly linearly within their
+posterior. They are integrated out about the fit, to second order, as the errors of the model are
 (:mod:`sasmap.ripples.errors`), and drawn afterwards from their Gaussian given each draw of the
 others. Heights of 80 coherent cells have the posterior that they have if these are sampled (90 %
 intervals as wide within 10 % in nine of ten cells, medians within 0.08 of their width), for three
@@ -17,21 +18,32 @@ from numpy.typing import NDArray
 
 from sasmap.ripples.errors import fitted_amplitudes, sharing
 from sasmap.ripples.optimise import (
+    ALTITUDE,
+    BLUR,
     COORDINATES,
+    NOISE_SLOPE,
     OFFSET,
     PHASE,
-    integrated_coordinates,
-    sampled_coordinates,
+    TREND,
+    free_coordinates,
 )
 from sasmap.ripples.rendered import Fit, expected_at, log_change
 from sasmap.ripples.rendering import (
     Geometry,
     error_gain,
+    log_posterior,
     log_priors,
 )
 
 FloatArray = NDArray[np.float64]
 
+# Error of the altitude over the altitude below which it is integrated out: of 40 coherent cells at
+# altitudes of 3 to 10 m, with errors of 0.1 m A_H has intervals as wide as if it were sampled, with
+# 0.25 and 0.5 m two and three cells with shadow have intervals of 0.2 to 0.7 of that width.
+KNOWN_ALTITUDE = 0.02
+# Largest difference of the log density a standard deviation from the fit from that of a Gaussian
+# for heights that change over range to be integrated out (pipelines/ripples/calibration.py).
+GAUSSIAN = 0.15
 # Step of the finite difference, in standard deviations of the prior.
 STEP = 0.1
 # Trials of an altitude: more than one where the prior of A_H is narrow.
@@ -40,23 +52,54 @@ TRIALS = 8
 SOME = 100
 
 
-def prior_sd(geometry: Geometry) -> FloatArray:
-    """Return the prior standard deviation of the integrated coordinates, (integrated,)."""
+def integrated_coordinates(fit: Fit) -> NDArray[np.int64]:
+    """Return the indices of the coordinates to integrate out.
+
+    An altitude that is not known well moves the edges of shadow by more than is linear; so do some
+    heights that change over range.
+    """
+    geometry = fit.geometry
+    known = geometry.altitude_sd < KNOWN_ALTITUDE * geometry.altitude_middle
+    level = TREND if not geometry.published and _gaussian(fit, TREND) else ()
+    return np.array([OFFSET, PHASE, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else []), *level])
+
+
+def _gaussian(fit: Fit, which: tuple[int, ...]) -> bool:
+    """Whether the density falls as a Gaussian's a standard deviation of some coordinates away.
+
+    The other coordinates follow them.
+    """
+    peak, free = fit.peaks[0], free_coordinates(fit.geometry)
+    here = log_posterior(peak.z, fit.data, fit.geometry)
+    for i in np.flatnonzero(np.isin(free, which)):
+        step = peak.covariance[i] / np.sqrt(peak.covariance[i, i])
+        for side in (-step, step):
+            z = peak.z.copy()
+            z[free] += side
+            if not abs(here - log_posterior(z, fit.data, fit.geometry) - 0.5) < GAUSSIAN:
+                return False
+    return True
+
+
+def prior_sd(geometry: Geometry, which: NDArray[np.int64]) -> FloatArray:
+    """Return the prior standard deviation of some coordinates."""
     sd = np.ones(COORDINATES)
     sd[[OFFSET, PHASE]] = geometry.wave_sd, geometry.phase_sd
-    return np.asarray(sd[integrated_coordinates(geometry)])
+    return np.asarray(sd[which])
 
 
-def with_integrated(fit: Fit) -> Fit:
-    """Give a fit's histogram the integrated coordinates as further errors, the last ones."""
-    which, sd = integrated_coordinates(fit.geometry), prior_sd(fit.geometry)
+def with_integrated(fit: Fit, which: NDArray[np.int64]) -> Fit:
+    """Give a fit's histogram some coordinates as further errors, the last ones."""
+    sd = prior_sd(fit.geometry, which)
     shapes = np.array([log_change(fit, i, STEP * s) / STEP for i, s in zip(which, sd, strict=True)])
     fitted = np.concatenate([fit.data.error_fitted, fit.z[which] / sd])
     errors = np.concatenate([fit.data.errors, shapes])
     return fit._replace(data=sharing(fit.data, errors, fitted, fit.data.error_signal))
 
 
-def with_drawn(points: FloatArray, fit: Fit, rng: np.random.Generator) -> FloatArray:
+def with_drawn(
+    points: FloatArray, fit: Fit, which: NDArray[np.int64], rng: np.random.Generator
+) -> FloatArray:
     """Draw the integrated coordinates given draws of the others.
 
     Parameters
@@ -65,13 +108,14 @@ def with_drawn(points: FloatArray, fit: Fit, rng: np.random.Generator) -> FloatA
         The integrated coordinates are those of the fit.
     fit : Fit
         As :func:`with_integrated` returns it.
+    which : ndarray of int
+        Indices of the integrated coordinates.
     rng : Generator
 
     Returns
     -------
     ndarray (..., COORDINATES)
     """
-    which = integrated_coordinates(fit.geometry)
     covariance = error_gain(fit.data)[-which.size :, -which.size :]
 
     def means(z: FloatArray) -> FloatArray:
@@ -79,8 +123,8 @@ def with_drawn(points: FloatArray, fit: Fit, rng: np.random.Generator) -> FloatA
         return fitted_amplitudes(fit, expected_at(fit, z)[0])[-which.size :]
 
     every = points.reshape(-1, COORDINATES)
-    middle = learned(every, means, sampled_coordinates(fit.geometry))
-    left, sd = np.linalg.cholesky(covariance), prior_sd(fit.geometry)
+    middle = learned(every, means, np.setdiff1d(free_coordinates(fit.geometry), which))
+    left, sd = np.linalg.cholesky(covariance), prior_sd(fit.geometry, which)
 
     def of_height(z: FloatArray) -> FloatArray:
         """Log prior of A_H, which follows the altitude: all but that of the coordinates drawn."""

@@ -24,10 +24,6 @@ FloatArray = NDArray[np.float64]
 COORDINATES = 14
 OFFSET, PHASE, HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR, ALTITUDE = 0, 1, 2, 3, 6, 8, 9, 10
 TREND = (11, 12, 13)
-# Error of the altitude over the altitude below which it is integrated out: of 40 coherent cells at
-# altitudes of 3 to 10 m, with errors of 0.1 m A_H has intervals as wide as if it were sampled, with
-# 0.25 and 0.5 m two and three cells with shadow have intervals of 0.2 to 0.7 of that width.
-KNOWN_ALTITUDE = 0.02
 # Heights of the scan: least slope (the largest is close to the steepest that sand holds), and their
 # number.
 LEAST_SLOPE, HEIGHTS = 0.01, 16
@@ -69,22 +65,6 @@ def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
     fixed = LAW + np.flatnonzero(np.isfinite(geometry.fixed))
     held = [*fixed, *TREND] if geometry.published else fixed
     return np.setdiff1d(np.arange(COORDINATES), held)
-
-
-def integrated_coordinates(geometry: Geometry) -> NDArray[np.int64]:
-    """Return the indices of those integrated out about the fit (:mod:`sasmap.ripples.nuisance`).
-
-    An altitude that is not known well moves the edges of shadow by more than is linear, and so do
-    heights that change over range.
-    """
-    known = geometry.altitude_sd < KNOWN_ALTITUDE * geometry.altitude_middle
-    level = [] if geometry.shadow or geometry.published else TREND
-    return np.array([OFFSET, PHASE, NOISE_SLOPE, BLUR, *([ALTITUDE] if known else []), *level])
-
-
-def sampled_coordinates(geometry: Geometry) -> NDArray[np.int64]:
-    """Return the indices of the estimated coordinates that are not integrated out."""
-    return np.setdiff1d(free_coordinates(geometry), integrated_coordinates(geometry))
 
 
 def searched_coordinates(geometry: Geometry) -> NDArray[np.int64]:
