@@ -313,9 +313,7 @@ def draw_points(
     def log_density(points: FloatArray) -> FloatArray:
         return np.asarray(log_posteriors(whole(points), fit.data, fit.geometry))
 
-    proposal = mixture_of_peaks(
-        [(p.z[sampled], p.covariance, p.level) for p in coordinates.peaks]
-    )
+    proposal = mixture_of_peaks([(p.z[sampled], p.covariance, p.level) for p in coordinates.peaks])
 
     def suffice(draws: FloatArray) -> bool:
         return converged(named_parameters(whole(draws), fit.geometry)["height"])

@@ -144,7 +144,7 @@ def fisher_scoring(
     for _ in range(rounds):
         scale = np.diag(information)
         step = covariance_of(information + damping * np.diag(scale)) @ gradient
-        step *= LONGEST / max(LONGEST, np.abs(step).max())
+        step = np.clip(step, -LONGEST, LONGEST)
         trial = z.copy()
         trial[free] += step
         reached = log_posterior(trial, data, geometry)

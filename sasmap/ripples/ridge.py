@@ -98,9 +98,7 @@ def _holds(place: Peak, offset: FloatArray) -> bool:
     return bool(offset @ np.linalg.solve(place.covariance, offset) < offset.size)
 
 
-def _walked(
-    peak: Peak, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
-) -> list[Peak]:
+def _walked(peak: Peak, data: Histogram, geometry: Geometry, free: NDArray[np.int64]) -> list[Peak]:
     """Places along the ridge of one peak, sorted by exponent."""
     start = _Place(peak.z, data, geometry, free)
     most = start.mass

@@ -9,6 +9,7 @@ from sasmap.ripples.rendering import named_parameters
 from tests.ripples.engine import geometry
 
 HEIGHT, LAW = 2, 3
+EVERY = np.arange(COORDINATES)
 
 
 def peak(contrast_sd, with_law):
@@ -19,7 +20,7 @@ def peak(contrast_sd, with_law):
     z = np.zeros(COORDINATES)
     z[HEIGHT] = np.log(0.4)
     if with_law:
-        plain = Coordinates([Peak(z, 0.0, covariance)], where)
+        plain = Coordinates([Peak(z, 0.0, covariance)], where, EVERY)
         slope = np.zeros(COORDINATES)
         for i in (LAW, LAW + 1):
             beside = z.copy()
@@ -34,14 +35,14 @@ def peak(contrast_sd, with_law):
 
 def test_height_is_sampled_where_contrast_follows_from_it_and_the_law():
     told, where = peak(0.1, with_law=True)
-    assert Coordinates([told], where).by_height
+    assert Coordinates([told], where, EVERY).by_height
     told, where = peak(0.01, with_law=False)
-    assert not Coordinates([told], where).by_height
+    assert not Coordinates([told], where, EVERY).by_height
 
 
 def test_the_third_coordinate_is_log_height_to_first_order():
     told, where = peak(0.1, with_law=True)
-    by = Coordinates([told], where)
+    by = Coordinates([told], where, EVERY)
     rng = np.random.default_rng(1)
     points = np.zeros((50, COORDINATES))
     points[:, HEIGHT] = np.log(rng.uniform(0.02, 0.1, 50))
@@ -53,11 +54,13 @@ def test_the_third_coordinate_is_log_height_to_first_order():
 @pytest.mark.parametrize("with_law", [True, False])
 def test_there_and_back_and_no_change_of_volume(with_law):
     told, where = peak(0.02, with_law)
-    by = Coordinates([told], where)
+    by = Coordinates([told], where, EVERY)
     z = np.random.default_rng(2).normal(0, 0.4, (20, COORDINATES))
     np.testing.assert_allclose(by.from_sampling(by.to_sampling(z)), z, atol=1e-12)
     step = 1e-5
-    turned = [(by.to_sampling(z[0] + step * e) - by.to_sampling(z[0])) / step for e in np.eye(11)]
+    turned = [
+        (by.to_sampling(z[0] + step * e) - by.to_sampling(z[0])) / step for e in np.eye(COORDINATES)
+    ]
     assert np.linalg.det(np.array(turned)) == pytest.approx(1.0, abs=1e-6)
     # a peak's Gaussian is carried with its points
     if by.by_height:
@@ -69,4 +72,4 @@ def test_there_and_back_and_no_change_of_volume(with_law):
 def test_a_fixed_law_leaves_contrast():
     told, where = peak(0.1, with_law=True)
     fixed = where._replace(fixed=np.array([2.0, 0.0, np.nan, np.nan]))
-    assert not Coordinates([told], fixed).by_height
+    assert not Coordinates([told], fixed, EVERY).by_height

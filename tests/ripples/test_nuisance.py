@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from sasmap.ripples.errors import sharing, with_errors
-from sasmap.ripples.nuisance import learned, with_drawn, with_integrated
+from sasmap.ripples.nuisance import (
+    integrated_coordinates,
+    learned,
+    with_drawn,
+    with_integrated,
+)
 from sasmap.ripples.optimise import (
     ALTITUDE,
     BLUR,
@@ -13,12 +18,17 @@ from sasmap.ripples.optimise import (
     NOISE_SLOPE,
     OFFSET,
     PHASE,
+    TREND,
     fisher_scoring,
     free_coordinates,
-    integrated_coordinates,
-    sampled_coordinates,
 )
-from sasmap.ripples.rendering import log_posterior, log_posteriors, named_parameters
+from sasmap.ripples.rendered import expected_at
+from sasmap.ripples.rendering import (
+    error_gain,
+    log_posterior,
+    log_posteriors,
+    named_parameters,
+)
 from sasmap.ripples.sampler import mixture_of_peaks, sample
 from tests.ripples.engine import BINS, LAMBERT, fit_of, fitted_cell
 
@@ -35,11 +45,10 @@ def known_law(turn=0.0, **changes):
 
 @pytest.mark.parametrize("field", [False, True])
 def test_the_density_is_that_at_the_best_value_of_what_is_integrated_out(field):
-    plain = fit_of(
-        4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.1, bent=field
-    )
+    plain = fit_of(4, np.ones((4, BINS)), not field, height=0.08, altitude_sd=0.1, bent=field)
     plain, where = with_errors(plain), plain.geometry
-    whole, which = with_integrated(plain).data, integrated_coordinates(where)
+    which = integrated_coordinates(plain)
+    whole = with_integrated(plain, which).data
     free, given, fixed = [], [], []
     for step in (-0.005, 0.0, 0.005):
         z = plain.z.copy()
@@ -76,13 +85,14 @@ def sampled(fit, which, data, rng):
 
 def test_an_altitude_that_is_drawn_has_the_posterior_of_one_that_is_sampled():
     fit, rng = known_law(altitude_sd=0.09), np.random.default_rng(1)
-    where, whole = fit.geometry, with_integrated(fit)
+    which = np.array([OFFSET, PHASE, NOISE_SLOPE, BLUR, *TREND, ALTITUDE])
+    where, whole = fit.geometry, with_integrated(fit, which)
     data = whole.data
-    free = np.append(sampled_coordinates(where), ALTITUDE)
+    free = np.append(np.setdiff1d(free_coordinates(where), which), ALTITUDE)
     known = sampled(fit, free, sharing(data, data.errors[:-1], data.error_fitted[:-1], 1.0), rng)
     some = sampled(fit, free[:-1], data, rng)
     assert (some[..., ALTITUDE] == fit.z[ALTITUDE]).all()
-    known, told = (np.concatenate(list(v)) for v in (known, with_drawn(some, whole, rng)))
+    known, told = (np.concatenate(list(v)) for v in (known, with_drawn(some, whole, which, rng)))
     mean, sd = known[:, free].mean(axis=0), known[:, free].std(axis=0)
     assert np.abs((told[:, free].mean(axis=0) - mean) / sd).max() < 0.15
     np.testing.assert_allclose(told[:, free].std(axis=0), sd, rtol=0.15)
@@ -98,10 +108,12 @@ def test_an_altitude_that_is_drawn_has_the_posterior_of_one_that_is_sampled():
 def test_draws_stay_within_the_bounds_of_height():
     fit = known_law(altitude_sd=0.09)
     height = float(named_parameters(fit.z[None], fit.geometry)["height"][0])
-    whole = with_integrated(fit)
+    which = integrated_coordinates(fit)
+    assert ALTITUDE in which
+    whole = with_integrated(fit, which)
     narrow = whole._replace(geometry=fit.geometry._replace(height_most=1.02 * height))
     points = np.tile(fit.z, (4, 500, 1))
-    drawn = with_drawn(points, narrow, np.random.default_rng(2))
+    drawn = with_drawn(points, narrow, which, np.random.default_rng(2))
     heights = named_parameters(drawn, narrow.geometry)["height"]
     assert heights.max() <= 1.02 * height
     assert 0.1 < np.mean(heights > height) < 0.5  # the others are as they were
@@ -111,9 +123,40 @@ def test_draws_stay_within_the_bounds_of_height():
 def test_phase_and_wave_number_are_drawn(bent):
     fit = known_law(bent=bent)
     points = np.tile(fit.z, (2, 400, 1))
-    drawn = with_drawn(points, with_integrated(fit), np.random.default_rng(3))
+    which = integrated_coordinates(fit)
+    assert {OFFSET, PHASE, NOISE_SLOPE, BLUR, ALTITUDE} <= set(which)
+    drawn = with_drawn(points, with_integrated(fit, which), which, np.random.default_rng(3))
     moved = np.flatnonzero(np.ptp(drawn.reshape(-1, COORDINATES), axis=0))
-    assert list(moved) == [OFFSET, PHASE, NOISE_SLOPE, BLUR, ALTITUDE]
+    assert list(moved) == sorted(which)
+
+
+def test_an_altitude_that_is_hardly_known_is_sampled():
+    assert ALTITUDE not in integrated_coordinates(known_law(altitude_sd=0.5))
+
+
+def test_heights_over_range_are_sampled_where_edges_of_shadow_tell_them():
+    smooth = fit_of(6, np.ones((6, BINS)), height=0.02)
+    assert set(TREND) <= set(integrated_coordinates(smooth))
+    # few pixels, and the heights that they allow begin to cast shadow
+    edge = fit_of(6, np.ones((6, BINS)), height=0.11)
+    edge = edge._replace(peaks=[edge.peaks[0]._replace(covariance=4 * edge.peaks[0].covariance)])
+    assert not set(TREND) & set(integrated_coordinates(edge))
+
+
+def test_what_a_fit_contains_of_a_coordinate_has_paid_its_prior():
+    plain = fit_of(6, np.ones((6, BINS)), height=0.05)
+    z = plain.z.copy()
+    z[TREND[0]] += 1.5
+    seen = plain.data.pixel_count * expected_at(plain, z)[0]
+    peak = plain.peaks[0]._replace(z=z)
+    level = plain._replace(data=plain.data._replace(intensity_sum=seen), peaks=[peak])
+    paid = with_integrated(level, np.array(TREND))
+    fitted, gain = paid.data.error_fitted, error_gain(paid.data)
+    np.testing.assert_allclose(fitted, z[list(TREND)])
+    without, given = (log_posterior(z, f.data, f.geometry) for f in (level, paid))
+    prior = 0.5 * (fitted @ gain @ fitted - fitted @ fitted)
+    assert given - without == pytest.approx(prior, rel=0.02)
+    assert prior < -0.5
 
 
 def test_a_linear_function_is_learned_exactly():

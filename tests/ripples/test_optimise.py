@@ -5,14 +5,14 @@ import pytest
 
 from sasmap.ripples.optimise import (
     COORDINATES,
+    TREND,
     Peak,
-    _slope,
     distinct,
     fisher_scoring,
     free_coordinates,
     rivals,
-    sampled_coordinates,
     search,
+    slope_at,
 )
 from sasmap.ripples.rendering import (
     ASYMMETRY,
@@ -141,7 +141,7 @@ def test_gradient_agrees_with_finite_differences():
     z = point_at(truth, where)
     z += np.array([0.004, 0.05, 0.1, 0.2, -0.2, 0.3, 0.2, 0.4, 0.1, 0.1, 0.2])
     free = free_coordinates(where)
-    gradient, information = _slope(z, data, where, free)
+    gradient, information = slope_at(z, data, where, free)
     for k, i in enumerate(free):
         step = 1e-3 * (0.1 if i == 0 else 1.0)
         ahead, behind = z.copy(), z.copy()
@@ -160,11 +160,11 @@ def test_slopes_at_the_edge_of_the_prior_are_those_within():
     z = point_at(truth, where)
     free = free_coordinates(where)
     k = list(free).index(2)
-    _, within = _slope(z, data, where, free)
+    _, within = slope_at(z, data, where, free)
     for edge in ({"height_most": 0.0500001}, {"height_least": 0.0499999}):
-        _, at_edge = _slope(z, data, where._replace(**edge), free)
+        _, at_edge = slope_at(z, data, where._replace(**edge), free)
         assert at_edge[k, k] == pytest.approx(within[k, k], rel=0.05)
-    _, beyond = _slope(z, data, where._replace(height_most=0.04), free)
+    _, beyond = slope_at(z, data, where._replace(height_most=0.04), free)
     assert beyond[k, k] == pytest.approx(0, abs=1e-5)  # a ripple there may be none at all
 
 
@@ -185,7 +185,7 @@ def test_gradient_with_errors_of_the_model():
         "error_fitted": np.array([0.4, -0.2]),
     }
     wide = data._replace(**given)
-    plain, with_errors = (_slope(z, d, where, free) for d in (data, wide))
+    plain, with_errors = (slope_at(z, d, where, free) for d in (data, wide))
     # a misfit of that shape is forgiven
     assert log_posterior(z, wide, where) > log_posterior(z, data, where) + 10
     k = list(free).index(2)
@@ -197,18 +197,16 @@ def test_gradient_with_errors_of_the_model():
     assert with_errors[1][k, k] < plain[1][k, k]
 
 
-def test_free_and_sampled_coordinates():
+def test_free_coordinates():
     where = geometry(0.6, 15.0, 5.0)
-    assert list(free_coordinates(where)) == list(range(11))
-    assert list(sampled_coordinates(where)) == [2, 3, 4, 5, 6, 7]
-    assert list(sampled_coordinates(where._replace(altitude_sd=0.2)))[-2:] == [7, 10]
+    assert list(free_coordinates(where)) == list(range(COORDINATES))
     law = where._replace(fixed=FIXED)
-    assert list(free_coordinates(law)) == [0, 1, 2, 5, 6, 7, 8, 9, 10]
-    published = where._replace(fixed=np.array([np.nan, np.nan, 0.0, 0.0]))
+    assert list(free_coordinates(law)) == [0, 1, 2, 5, 6, 7, 8, 9, 10, *TREND]
+    published = where._replace(fixed=np.array([np.nan, np.nan, 0.0, 0.0]), published=True)
     assert list(free_coordinates(published)) == [0, 1, 2, 3, 4, 7, 8, 9, 10]
     everything = where._replace(fixed=np.array([2.0, 0.0, 0.0, 0.0]))
-    assert list(free_coordinates(everything)) == [0, 1, 2, 7, 8, 9, 10]
-    assert parameters_at(np.ones(11), everything)[3:7] == (2.0, 0.0, 0.0, 0.0)
+    assert list(free_coordinates(everything)) == [0, 1, 2, 7, 8, 9, 10, *TREND]
+    assert parameters_at(np.ones(COORDINATES), everything)[3:7] == (2.0, 0.0, 0.0, 0.0)
 
 
 def test_prior_holds_its_bounds():

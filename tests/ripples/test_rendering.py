@@ -6,6 +6,7 @@ import pytest
 
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.errors import MODEL_SHIFT
+from sasmap.ripples.optimise import COORDINATES
 from sasmap.ripples.rendering import (
     BOUND,
     CREST,
@@ -427,7 +428,7 @@ def test_gain_is_the_most_likely_one_and_scale_tells_nothing():
     bend = (2 * level(log_gain) - level(log_gain + near) - level(log_gain - near)) / near**2
     assert bend == pytest.approx(information, rel=0.05)
     # whatever the units: noise is told against the image
-    z = np.zeros(11)
+    z = np.zeros(COORDINATES)
     z[2] = -1.3
     other = z + 0.1
     quiet = [z.copy(), other.copy()]
@@ -447,7 +448,7 @@ def test_gain_is_the_most_likely_one_and_scale_tells_nothing():
 def test_likelihood_is_of_the_pixels_not_of_their_order_or_the_maps_origin():
     made = coherent(5, near=15.0, shape=(120, 200))
     clip = made.clip
-    z = np.zeros(11)
+    z = np.zeros(COORDINATES)
     z[2] = -0.5
     rows = np.random.default_rng(2).permutation(len(clip.amplitude))
     shuffled = type(clip)(**{**vars(clip), "amplitude": clip.amplitude[rows]})
@@ -464,7 +465,8 @@ def test_heights_that_change_over_range_are_rendered_at_each_block():
     reach = np.linspace(14.0, 22.0, 9)
     data, where = empty(reach, 3.0), geometry(0.5, 18.0, 3.0)
     trend = np.array([0.1, -0.05, 0.02])
-    pulses, lags = pulses_of(ripple(0.2), data, where._replace(height_trend=trend))
+    names = ("trend_1", "trend_2", "trend_3")
+    pulses, lags = pulses_of(ripple(0.2, **dict(zip(names, trend, strict=True))), data, where)
     across = (reach - reach[0]) / np.ptp(reach)
     change = sum(a * np.cos(np.pi * k * across) for k, a in enumerate(trend, 1))
     for k, scale in enumerate(np.exp(change)):
