@@ -1,13 +1,12 @@
-"""What it costs that errors of law, profile and heights are integrated out, not sampled.
+"""What it costs that errors of law and profile are integrated out, not sampled.
 
     python pipelines/ripples/sampled_errors.py [--draws 110] [--workers 2]
 
-The likelihood integrates the law's departure from its family, the profile's third harmonic, heights
-that change over range, and what sasmap.ripples.nuisance names, out to second order about the fit.
-Here the same posterior is sampled with eleven amplitudes and those as coordinates, rendered anew at
-every point: 120 chains of 3000 steps by differential evolution (ter Braak and Vrugt 2008), about
-thirty times the densities of an estimate. Clips are those of calibration.py; the fit starts at the
-true wave.
+The likelihood integrates the law's departure from its family, the profile's third harmonic and what
+sasmap.ripples.nuisance names out to second order about the fit. Here the same posterior is sampled
+with eight amplitudes and those as coordinates, rendered anew at every point: 120 chains of 3000
+steps by differential evolution (ter Braak and Vrugt 2008), about thirty times the densities of an
+estimate. Clips are those of calibration.py; the fit starts at the true wave.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 from calibration import LEVELS, coverage, draw
 
 from sasmap.ripples import Prior, RippleSettings
-from sasmap.ripples.errors import HEIGHT_TREND, LAW_ERROR, THIRD_HARMONIC
+from sasmap.ripples.errors import LAW_ERROR, THIRD_HARMONIC
 from sasmap.ripples.estimation import draw_points
 from sasmap.ripples.fit import NoPlaceError, Task, fit_wave
 from sasmap.ripples.image import as_image
@@ -31,8 +30,8 @@ from sasmap.ripples.rendering import log_posterior, named_parameters
 
 # Standard deviation of log A_H below which it counts as well known (as in coherent.py).
 KNOWN = 0.1
-LAW, HEIGHTS = len(THIRD_HARMONIC), len(THIRD_HARMONIC) + len(LAW_ERROR)
-SD = np.concatenate([THIRD_HARMONIC, LAW_ERROR, HEIGHT_TREND])
+LAW = len(THIRD_HARMONIC)
+SD = np.concatenate([THIRD_HARMONIC, LAW_ERROR])
 CHAINS, STEPS, BURN_IN, KEPT = 120, 3000, 1000, 10
 # Shares of the coordinates that a step moves, share of steps between modes, points of the archive.
 MOVED, JUMP, ARCHIVE = (0.15, 0.4, 1.0), 0.1, 20_000
@@ -52,8 +51,7 @@ def log_densities(points, sd, data, geometry):  # type: ignore[no-untyped-def]
     for i in range(len(points)):
         amplitude = points[i, COORDINATES:]
         geometry.third_harmonic[:] = sd[:LAW] * amplitude[:LAW]
-        geometry.law_error[:] = sd[LAW:HEIGHTS] * amplitude[LAW:HEIGHTS]
-        geometry.height_trend[:] = sd[HEIGHTS:] * amplitude[HEIGHTS:]
+        geometry.law_error[:] = sd[LAW:] * amplitude[LAW:]
         values[i] = log_posterior(points[i, :COORDINATES].copy(), data, geometry)
         values[i] -= 0.5 * np.sum(amplitude**2)
     return values
@@ -62,7 +60,7 @@ def log_densities(points, sd, data, geometry):  # type: ignore[no-untyped-def]
 def sampled_with_errors(fit: Fit, draws: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Draw coordinates (n, COORDINATES), from draws of the integrated posterior as a start."""
     data = fit.data._replace(errors=fit.data.errors[:0])
-    copied = ("law_error", "third_harmonic", "height_trend")
+    copied = ("law_error", "third_harmonic")
     geometry = fit.geometry._replace(**{k: getattr(fit.geometry, k).copy() for k in copied})
     start = rng.choice(draws.reshape(-1, COORDINATES), CHAINS)
     state = np.hstack([start, 0.5 * rng.standard_normal((CHAINS, SD.size))])

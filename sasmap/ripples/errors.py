@@ -117,7 +117,7 @@ def fitted_amplitudes(fit: Fit, means: FloatArray) -> FloatArray:
 
 
 def turned_by_errors(fit: Fit) -> FloatArray:
-    """Compute by how much one standard deviation of each error changes the slope of lags over range.
+    """Compute by how much a standard deviation of each error changes the slope of lags over range.
 
     Errors of law and profile also turn the image's phase.
 
@@ -132,6 +132,8 @@ def turned_by_errors(fit: Fit) -> FloatArray:
         Cycles/m.
     """
     turned = np.zeros(len(fit.data.errors))
+    if not turned.size:
+        return turned
     for k, pair in enumerate(_beside(fit.geometry)):
         lags = [pulses_at(fit._replace(geometry=g), fit.z)[1] for g in pair]
         turned[k] = line_of_lags(_turn(*lags), fit.data)[0] / (4 * np.pi * ERROR_STEP)

@@ -68,9 +68,9 @@ BLUR_SD = 0.35
 # Least altitude over that from the navigation (a choice).
 LEAST_SCALE = 0.1
 # Change of log A_H over the range of a clip: standard deviations of its first cosines. Of 53 cells
-# of an independent simulator, whose heights change by factors of 1.3 to 10 or come in groups, 8 were
-# off by 4 standard deviations and 20 % without it, 1 with 0.07 and 1 with 0.1, where calibration is
-# worse (pipelines/ripples/calibration.py).
+# of an independent simulator, whose heights change by factors of 1.3 to 10 or come in groups, 8
+# were off by 4 standard deviations and 20 % without it, 1 with 0.07 and 1 with 0.1, where
+# calibration is worse (pipelines/ripples/calibration.py).
 HEIGHT_TREND = (0.07, 0.07, 0.07)
 # Sampling coordinates that change no pulse: phase, noise floor and its power of range.
 NO_PULSE = (1, 7, 8)

@@ -1,6 +1,5 @@
 """What a pixel is worth, and f can be told to, where the model errs."""
 
-
 import numpy as np
 import pytest
 

@@ -70,7 +70,10 @@ def test_forks_are_no_spread_of_heights():
 
 @pytest.mark.parametrize("turn", [0.0, 30.0])
 def test_the_spread_of_heights_grows_with_that_of_single_waves(turn):
-    few, many = (np.mean([uneven(seed, sd, turn) for seed in range(5)]) for sd in (0.1, 0.3))
+    # what is estimated is a variance
+    few, many = (
+        np.sqrt(np.mean([uneven(seed, sd, turn) ** 2 for seed in range(5)])) for sd in (0.1, 0.3)
+    )
     # a square holds parts of two waves, and of more where crests are oblique
     assert 0.03 < few < 0.1
     assert 2 * few < many < 0.3
