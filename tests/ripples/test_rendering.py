@@ -18,11 +18,13 @@ from sasmap.ripples.rendering import (
     fill_echoes,
     fill_expected,
     fill_facets,
+    fill_lags,
     fill_law,
     fill_lit,
     fill_profile,
     fill_published,
     fill_residuals,
+    line_of_lags,
     log_posterior,
     pulse_at,
     pulses_of,
@@ -405,6 +407,32 @@ def test_coherent_facets_show_this_pulse(law, near):
     assert (z**2).mean() < 5.0
     for wrong in (0.07, 0.092):
         assert (misfits(wrong) ** 2).sum() > 3 * (z**2).sum() + 40
+
+
+def test_a_pulse_depends_on_height_times_wave_number():
+    reach = [9.0, 14.0, 22.0]
+    data = empty(reach, 4.0)
+    first, _ = pulses_of(ripple(0.12, blur=0.02), data, geometry(0.6, 15.0, 4.0))
+    second, _ = pulses_of(ripple(0.12 / 1.03, blur=0.02), data, geometry(0.6 * 1.03, 15.0, 4.0))
+    lower, _ = pulses_of(ripple(0.12 / 1.03, blur=0.02), data, geometry(0.6, 15.0, 4.0))
+    assert np.abs(second - first).mean() < 0.1 * np.abs(lower - first).mean()
+
+
+def test_phase_and_wave_number_are_those_of_the_image():
+    reach = np.linspace(4.0, 16.0, 25)
+    data, where = empty(reach, 4.0), geometry(0.6, 12.0, 4.0)
+    truth = ripple(0.15, blur=0.02)
+    own = pulses_of(truth, data, where)[1]
+    assert abs(line_of_lags(own, data)[0]) * np.ptp(reach) > 0.1
+    left = []
+    for bent in (False, True):
+        means, lags = np.empty(data.pixel_count.shape), np.empty(reach.size)
+        fill_expected(truth, data, where._replace(bent=bent), means, np.empty(reach.size))
+        fill_lags(means, lags)
+        left.append(np.abs(lags).max())
+        assert np.abs(line_of_lags(lags, data)).max() < 0.02
+    # a phase field follows every range, straight crests leave what is not on the line
+    assert left[1] < 0.02 < left[0]
 
 
 def test_gain_is_the_most_likely_one_and_scale_tells_nothing():
