@@ -68,7 +68,7 @@ POINT_SPREAD = 0.5
 FOUND_TO, ANY_PHASE, FIELD_PHASE = 0.5, np.pi / np.sqrt(3), 0.1
 # Rounds in which the trend is estimated again with the pulse known, and of Fisher scoring in each;
 # rounds in which the model's errors are estimated.
-TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS, LINEARISED = 2, 6, 2, 2
+TREND_ROUNDS, TREND_CLIMB, ERROR_ROUNDS = 2, 6, 2
 # Least wave number along the look over that across (a choice: height is not identifiable below
 # seven times it, detection.MIN_ALONG).
 LEAST_ALONG = 0.01
@@ -247,10 +247,8 @@ def reweighted(fit: Fit, whole: Histogram, pixel_size: float) -> Fit:
     # where the published model is asked for, it is taken at its word
     share = np.ones_like(weight) if fit.geometry.published else fit.noise_factor * weight
     fit = fit._replace(data=weighed(whole, weight)._replace(speckle_share=share))
-    for _ in range(LINEARISED):
-        fit = with_errors(fit)
-        fit = reoptimised(fit, fit.data, fit.geometry, CLIMB)
-    return with_errors(fit)
+    fit = with_errors(fit)
+    return with_errors(reoptimised(fit, fit.data, fit.geometry, CLIMB))
 
 
 def explained(fit: Fit) -> float:
