@@ -423,7 +423,7 @@ def _lags(points: FloatArray, fit: Fit, turned: FloatArray) -> tuple[FloatArray,
         slope, centre = line_of_lags(pulses_at(fit, z)[1], fit.data)
         told = 0.0
         if fit.phase.rigid and turned.any():
-            told = turned @ fitted_amplitudes(fit, expected_at(fit, z)[0])
+            told = float(turned @ fitted_amplitudes(fit, expected_at(fit, z)[0]))
         return np.array([slope / (2 * np.pi) + told, centre / (2 * np.pi)])
 
     lags = learned(points, line, np.arange(COORDINATES))
