@@ -24,6 +24,7 @@ from sasmap.ripples.nuisance import (
 )
 from sasmap.ripples.optimise import (
     COORDINATES,
+    OFFSET,
     Peak,
     free_coordinates,
 )
@@ -357,8 +358,8 @@ def _labelled(
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
     along, across = along * stretch, across * stretch
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi) + lag
-    # a pulse depends on A_H times the wave number; it was rendered with that of the image
-    named["height"] *= (fit.geometry.along + offset) / along
+    # a pulse depends on A_H times the wave number; it was rendered with that of the fit
+    named["height"] *= (fit.geometry.along + fit.z[OFFSET]) / along
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     turns = np.floor(azimuth.mean() / 180.0)
     # the same crests, with the phase counted in the opposite direction
