@@ -365,8 +365,6 @@ def _labelled(
     # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
     named["height"] *= np.exp(change)
-    for name in ("trend_1", "trend_2", "trend_3"):
-        named.pop(name)
     frequency = np.hypot(along, across)
     return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
 

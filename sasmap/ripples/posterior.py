@@ -131,8 +131,8 @@ class Posterior:
     draws : Dataset (chain, draw)
         ``frequency`` (cycles/m), ``height`` (A_H, m), ``azimuth`` (crest normal, degrees clockwise
         from grid north, unwrapped about its mean), and the other parameters of
-        :class:`sasmap.ripples.rendering.Parameters` but for the wave offset and the change of
-        heights over range; empty where no ripple was sampled.
+        :class:`sasmap.ripples.rendering.Parameters` but for the wave offset; empty where no ripple
+        was sampled.
     acceptance : float
         Accepted fraction of the independence proposals of the kept draws.
     left_out : LeftOut
