@@ -212,7 +212,9 @@ def slope_error(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     """Compute the standard deviation of the slope of the phase over range.
 
     With straight crests it comes from speckle and from errors specific to each range; errors that
-    all ranges share shift all phases equally. A phase field states its own.
+    all ranges share shift all phases equally. Crests seen square-on fall on the same places of the
+    pixels in every row, so that the displacement of a pulse is one of each range. A phase field
+    states its own.
 
     Parameters
     ----------
@@ -230,7 +232,10 @@ def slope_error(fit: Fit, whole: Histogram, pixel_size: float) -> float:
     if not fit.phase.rigid:
         return float(fit.phase.wave_sd[0])
     means, slope = with_fitted_errors(fit), per_cycle(fit)
-    own, _ = _shared(fit, whole, means, _displacement(fit, slope, pixel_size))
+    displacement = _displacement(fit, slope, pixel_size)
+    own, _ = _shared(fit, whole, means, displacement)
+    rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(fit.phase.shape)
+    own = own + _to_bins(whole, in_cells(whole, whole.pixel_count)) * displacement / rows
     told = (whole.pixel_count / (fit.noise_factor + own) * slope**2).sum(1)
     apart = whole.place - np.average(whole.place, weights=told)
     return float(np.hypot(1 / np.sqrt(max(told @ apart**2, 1e-12)), fit.phase.wave_sd[0]))

@@ -339,16 +339,13 @@ def _labelled(
     named = named_parameters(points, fit.geometry)
     across = fit.across[0] + fit.across[1] * rng.standard_normal(shape)
     # errors of the pulse that all ranges share widen the draws of the wave number, though they do
-    # not tilt the phase: its slope over range has the error of speckle, and the turn by shadow and
-    # lean that each draw implies
-    offset = named.pop("wave_offset")
+    # not tilt the phase: only the mean of these draws counts
+    offset = float(named.pop("wave_offset").mean())
+    told = offset if fit.phase.rigid else 0.0
     turned = turned_by_errors(fit)
     slope, lag = _lags(points, fit, turned)
-    told = float(offset.mean()) if fit.phase.rigid else 0.0
-    # crests seen square-on fall on the same pixels in every row: that error does not average out
-    rows = 1 + abs(fit.geometry.across) / fit.geometry.along * max(image.shape)
     left = error_gain(fit.data) if fit.phase.rigid else np.eye(turned.size)
-    tilt = float(np.sqrt(fit.tilt**2 + offset.var() / rows + turned @ left @ turned))
+    tilt = float(np.sqrt(fit.tilt**2 + turned @ left @ turned))
     # what A_H differs by from the draws turns the phase as well
     error = _added_error(fit, named["height"], crossing)
     low = min(TOO_LOW * _unlike(fit), MOST_LOW)

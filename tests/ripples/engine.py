@@ -153,5 +153,5 @@ def fit_of(groups, misfit, rigid=True, height=0.02, noise=0.01, **changes):
     data = noiseless(truth, empty(reach, 6.0, bins=BINS, count=500.0, group=group), where)
     peak = fisher_scoring(search(data, where)[0].z, data, where)
     data = data._replace(intensity_sum=data.intensity_sum * misfit[group])
-    phase = SimpleNamespace(rigid=rigid, wave_sd=np.zeros(2))
+    phase = SimpleNamespace(rigid=rigid, wave_sd=np.zeros(2), shape=(400, 400))
     return Fit(phase, None, data, where, [peak])
