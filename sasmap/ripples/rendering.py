@@ -710,7 +710,7 @@ def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def line_of_lags(lags, data):  # type: ignore[no-untyped-def]
-    """Fit a line to lags (blocks,), rad, which are unwrapped.
+    """Fit a line to lags (blocks,), rad, which are unwrapped in place.
 
     Returns its slope over the place along the look, rad/m, and its value at the clip's centre, rad.
     """
