@@ -25,6 +25,7 @@ from sasmap.ripples.nuisance import (
 from sasmap.ripples.optimise import (
     COORDINATES,
     OFFSET,
+    PHASE,
     Peak,
     free_coordinates,
 )
@@ -338,20 +339,14 @@ def _labelled(
     shape = points.shape[:2]
     named = named_parameters(points, fit.geometry)
     across = fit.across[0] + fit.across[1] * rng.standard_normal(shape)
-    # errors of the pulse that all ranges share widen the draws of the wave number, though they do
-    # not tilt the phase: only the mean of these draws counts
-    offset = float(named.pop("wave_offset").mean())
-    told = offset if fit.phase.rigid else 0.0
-    turned = turned_by_errors(fit)
-    slope, lag = _lags(points, fit, turned)
-    left = error_gain(fit.data) if fit.phase.rigid else np.eye(turned.size)
-    tilt = float(np.sqrt(fit.tilt**2 + turned @ left @ turned))
+    named.pop("wave_offset")
+    slope, lag, tilt = _slopes(points, fit)
     # what A_H differs by from the draws turns the phase as well
     error = _added_error(fit, named["height"], crossing)
     low = min(TOO_LOW * _unlike(fit), MOST_LOW)
     change = low + error * rng.standard_normal(shape) - 0.5 * error**2
     slope = slope + line_of_lags(lag_per_height(fit), fit.data)[0] / (2 * np.pi) * change
-    along = fit.geometry.along + told + slope + tilt * rng.standard_normal(shape)
+    along = fit.geometry.along + slope + tilt * rng.standard_normal(shape)
     stretch = 1 + _stretch(fit, image, fraction) * rng.standard_normal(shape)
     along, across = along * stretch, across * stretch
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi) + lag
@@ -408,22 +403,43 @@ def _turn_of_heights(fit: Fit) -> float:
     return float(spread * np.sqrt(np.mean(lag_per_height(fit) ** 2)) / (2 * np.pi))
 
 
-def _lags(points: FloatArray, fit: Fit, turned: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute the lag of the image's phase due to shadow, lean and errors, for each draw.
+def _slopes(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray, float]:
+    """Compute the wave number and phase that each draw's shadow, lean and errors make of the fit's.
 
-    `turned` is as from :func:`turned_by_errors`. With straight crests the image tells the errors.
-    Returns the lag's slope over range, cycles/m, and its value at the clip's centre, cycles.
+    Returns
+    -------
+    slope, centre : ndarray (chains, draws)
+        What is added to the fit's wave number along the look, cycles/m, and to the phase at the
+        clip's centre, cycles.
+    sd : float
+        Standard deviation of the first given a draw, cycles/m.
+
+    Notes
+    -----
+    Errors of law and profile turn the image's phase as well; with straight crests the image tells
+    them together with its wave number. Errors that all ranges share widen what is left of the
+    latter if these are known, though they do not tilt the phase: the fit's tilt takes its place.
     """
+    turned, joint = turned_by_errors(fit), fit
+    added = float(turned @ turned)
+    if fit.phase.rigid:
+        joint = with_integrated(fit, np.array([OFFSET, PHASE]))
+        turned = np.append(turned, [fit.geometry.wave_sd, 0.0])
+        gain = error_gain(joint.data)
+        alone = np.linalg.inv(np.linalg.inv(gain)[-2:, -2:])[0, 0] * fit.geometry.wave_sd**2
+        added = float(turned @ gain @ turned - alone)
 
     def line(z: FloatArray) -> FloatArray:
+        z = z.copy()
+        z[[OFFSET, PHASE]] = fit.z[[OFFSET, PHASE]]
         slope, centre = line_of_lags(pulses_at(fit, z)[1], fit.data)
         told = 0.0
-        if fit.phase.rigid and turned.any():
-            told = float(turned @ fitted_amplitudes(fit, expected_at(fit, z)[0]))
+        if fit.phase.rigid:
+            told = fit.z[OFFSET] + float(turned @ fitted_amplitudes(joint, expected_at(fit, z)[0]))
         return np.array([slope / (2 * np.pi) + told, centre / (2 * np.pi)])
 
     lags = learned(points, line, np.arange(COORDINATES))
-    return lags[..., 0], lags[..., 1]
+    return lags[..., 0], lags[..., 1], float(np.sqrt(max(fit.tilt**2 + added, 0.0)))
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:

@@ -7,10 +7,12 @@ import pytest
 import xarray as xr
 
 from sasmap.ripples import Clip, Prior, RippleSettings, estimate, estimation
+from sasmap.ripples.errors import LAW_ERROR, THIRD_HARMONIC, slope_error, weighed, with_errors
+from sasmap.ripples.optimise import OFFSET, PHASE, fisher_scoring
 from sasmap.ripples.posterior import LeftOut, Quality
-from sasmap.ripples.rendering import Parameters
+from sasmap.ripples.rendering import Parameters, line_of_lags, parameters_at, pulses_of
 from tests.helpers import clip_of, zare_cobb_clip
-from tests.ripples.engine import coherent
+from tests.ripples.engine import BINS, coherent, fit_of, noiseless
 from tests.ripples.test_clip import turned
 
 # fewer draws than by default: what is slow to converge is told well enough
@@ -362,3 +364,31 @@ def test_an_edge_of_the_ripples_widens_frequency():
     assert filled == 0.0
     assert half == pytest.approx(estimation.EDGE_TURN / 6.25)
     assert third > half
+
+
+@pytest.mark.parametrize("height", [0.08, 0.12])
+def test_wave_number_errs_with_law_and_profile_by_as_much_as_it_states(height):
+    """The image tells errors of law and profile together with its wave number."""
+    rng = np.random.default_rng(3)
+    plain = fit_of(8, np.ones((8, BINS)), height=height, noise=1e-3)
+    plain = plain._replace(data=weighed(plain.data, np.full(plain.data.pixel_count.shape, 0.02)))
+    tilt = slope_error(with_errors(plain), plain.data, 1e-6)
+    truth, free = parameters_at(plain.z, plain.geometry), np.array([OFFSET, PHASE])
+    off, stated = [], 0.0
+    for _ in range(60):
+        law, harmonic = (0.3 * np.array(sd) for sd in (LAW_ERROR, THIRD_HARMONIC))
+        where = plain.geometry._replace(
+            law_error=law * rng.standard_normal(law.size),
+            third_harmonic=harmonic * rng.standard_normal(harmonic.size),
+        )
+        data = noiseless(truth, plain.data, where)
+        pixels = data.pixel_count
+        data = data._replace(intensity_sum=data.intensity_sum * rng.gamma(pixels, 1 / pixels))
+        seen = with_errors(plain._replace(data=data, tilt=tilt))
+        peak = fisher_scoring(plain.z, seen.data, seen.geometry, free=free)
+        seen = with_errors(seen._replace(peaks=[peak]))
+        slope, _, stated = estimation._slopes(np.tile(peak.z, (1, 5, 1)), seen)
+        lags = pulses_of(truth, data, where)[1]
+        off.append(float(slope.mean()) - line_of_lags(lags, data)[0] / (2 * np.pi))
+    assert 0.8 < np.std(off) / stated < 1.25
+    assert stated > 1.1 * tilt
