@@ -8,19 +8,7 @@ from numpy.typing import NDArray
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.image import Image
 from sasmap.ripples.phase import PhaseField
-from sasmap.ripples.pixels import (
-    ALTITUDE,
-    COUNT,
-    INTENSITY,
-    OFFSET,
-    PIXELS,
-    PLACE,
-    RANGE,
-    REACH,
-    TREND,
-    UNSATURATED,
-    sum_pixels,
-)
+from sasmap.ripples.pixels import spread_boxes, sum_pixels
 from sasmap.ripples.rendering import Histogram
 
 FloatArray = NDArray[np.float64]
@@ -75,56 +63,47 @@ def histogram(
     """
     used = image.valid & phase.pixels(phase.covered, image.shape)
     along = float(phase.wave @ image.look)
-    pixels = 1 / (along * image.pixel_size)
     a_pixel, most = SHARP_BINS if published else BINS
-    bins = int(np.clip(round(a_pixel * pixels), LEAST_BINS, most))
+    bins = int(np.clip(round(a_pixel / (along * image.pixel_size)), LEAST_BINS, most))
     reach = image.ground_range[used]
     edges = range_edges(float(reach.min()), float(reach.max()))
-    sums, blocks = sum_pixels(
-        image.power + DYNAMIC_RANGE,
-        used,
-        image.saturated,
-        image.ground_range,
-        image.altitude,
-        trend,
-        phase.cycles,
-        phase.per_pixel(image),
-        image.look @ image.steps,
-        edges,
-        bins,
-        phase.box,
+    level = spread_boxes(trend, phase.box, image.shape)
+    power, field = (image.power + DYNAMIC_RANGE) / level, phase.cycles
+    block, *sums = sum_pixels(
+        power, used, image.saturated, image.ground_range, field, phase.per_pixel(image), edges, bins
     )
-    return _as_histogram(sums, blocks, max(1 / along, float(np.ptp(edges)) / MOST_GROUPS))
-
-
-def _as_histogram(sums: FloatArray, blocks: FloatArray, length: float) -> Histogram:
-    """Drop empty blocks, turn sums into means and number the groups that share a gain."""
-    filled = blocks[:, PIXELS] > 0
-    sums, blocks = sums[filled], blocks[filled]
-    mean = blocks / blocks[:, [PIXELS]]
-    pixels = np.maximum(sums[..., COUNT], 1)
-    group = np.zeros(len(mean), np.int64)
-    begin = mean[0, RANGE]
-    for b in range(1, len(mean)):
-        whole = mean[b, RANGE] - begin >= length
-        enough = mean[-1, RANGE] - mean[b, RANGE] >= 0.9 * length
-        group[b] = group[b - 1] + (whole and enough)
-        if group[b] > group[b - 1]:
-            begin = mean[b, RANGE]
+    filled = sums[0].any(axis=1)
+    count, clear, total, offset, reaches = (v[filled] for v in sums)
+    held = count.sum(axis=1)
+    place, altitude, local = (
+        np.bincount(block[used], v[used], filled.size)[filled] / held
+        for v in (image.project(image.look), image.altitude, level)
+    )
+    middle, many = reaches.sum(axis=1) / held, np.maximum(count, 1)
     return Histogram(
-        sums[..., UNSATURATED].copy(),
-        sums[..., INTENSITY].copy(),
-        sums[..., OFFSET] / pixels,
-        np.where(sums[..., COUNT] > 0, sums[..., REACH] / pixels - mean[:, [RANGE]], 0.0),
-        mean[:, PLACE].copy(),
-        mean[:, RANGE].copy(),
-        mean[:, ALTITUDE].copy(),
-        mean[:, TREND].copy(),
-        group,
-        np.zeros((0, *sums.shape[:2])),
-        np.zeros((0, 0)),
-        np.zeros(0),
-        1.0,
-        np.zeros(0),
-        np.ones(sums.shape[:2]),
+        pixel_count=clear,
+        intensity_sum=total,
+        phase_offset=offset / many,
+        range_offset=np.where(count > 0, reaches / many - middle[:, None], 0.0),
+        place=place,
+        ground_range=middle,
+        altitude=altitude,
+        trend=local,
+        group=_groups(middle, max(1 / along, float(np.ptp(edges)) / MOST_GROUPS)),
+        errors=np.zeros((0, *count.shape)),
+        error_axes=np.zeros((0, 0)),
+        error_information=np.zeros(0),
+        error_signal=1.0,
+        error_fitted=np.zeros(0),
+        speckle_share=np.ones(count.shape),
     )
+
+
+def _groups(reach: FloatArray, length: float) -> NDArray[np.int64]:
+    """Return the groups of blocks that share a gain, each at least `length` long, m."""
+    group, begin = np.zeros(len(reach), np.int64), reach[0]
+    for b in range(1, len(reach)):
+        enough = reach[b] - begin >= length and reach[-1] - reach[b] >= 0.9 * length
+        group[b] = group[b - 1] + enough
+        begin = reach[b] if enough else begin
+    return group

@@ -24,7 +24,7 @@ from sasmap.ripples.demodulation import (
     windings,
 )
 from sasmap.ripples.image import Image
-from sasmap.ripples.pixels import field_cycles
+from sasmap.ripples.pixels import spread_boxes
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -110,7 +110,10 @@ class PhaseField:
         """Phase of the field at every pixel, cycles; empty where crests are straight."""
         if self.rigid:
             return np.empty((0, 0))
-        return np.asarray(field_cycles(self.even, self.odd, self.box, self.stripes, self.shape))
+        row, column = np.ogrid[: self.shape[0], : self.shape[1]]
+        stripe = np.floor(self.stripes[0] * (column + 0.5) + self.stripes[1] * (row + 0.5))
+        even, odd = (spread_boxes(f, self.box, self.shape) for f in (self.even, self.odd))
+        return np.asarray(np.angle(np.where(stripe % 2 == 0, odd, even)) / (2 * np.pi))
 
     def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
         """Expand a mask of boxes to the image's pixels."""

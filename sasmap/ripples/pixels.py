@@ -11,10 +11,6 @@ from sasmap.ripples.rendering import FAST
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Indices of the sums kept for each bin and for each block of a phase-range histogram.
-COUNT, UNSATURATED, INTENSITY, OFFSET, REACH, BIN_SUMS = range(6)
-PIXELS, PLACE, RANGE, ALTITUDE, TREND, BLOCK_SUMS = range(6)
-
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def box_sums(values, valid, per_column, per_row, size):  # type: ignore[no-untyped-def]
@@ -74,53 +70,18 @@ def wave_boxes(values, valid, per_column, per_row, parts, width):  # type: ignor
     return turned, total, square, count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def box_place(i, size, boxes):  # type: ignore[no-untyped-def]
-    """Index of the last box centred at or before a pixel, and the fraction of the way to the next.
-
-    Both are clipped to the boxes that exist.
-    """
-    place = min(max((i + 0.5) / size - 0.5, 0.0), boxes - 1.0)
-    low = min(int(place), max(boxes - 2, 0))
-    return low, place - low
+def _between(size: int, boxes: int, pixels: int) -> FloatArray:
+    """Weights (pixels, boxes) that interpolate between the centres of boxes, linear."""
+    place = np.clip((np.arange(pixels) + 0.5) / size - 0.5, 0.0, boxes - 1.0)
+    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - np.arange(boxes)), 0.0))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def between(field, low_row, down, low_column, right):  # type: ignore[no-untyped-def]
-    """Interpolate bilinearly between four boxes."""
-    next_row = min(low_row + 1, field.shape[0] - 1)
-    next_column = min(low_column + 1, field.shape[1] - 1)
-    return (1.0 - down) * (
-        (1.0 - right) * field[low_row, low_column] + right * field[low_row, next_column]
-    ) + down * ((1.0 - right) * field[next_row, low_column] + right * field[next_row, next_column])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def field_cycles(even, odd, box, stripes, shape):  # type: ignore[no-untyped-def]
-    """Phase of a field at every pixel, cycles, from the stripes of the other parity."""
-    result = np.empty(shape)
-    for i in range(shape[0]):
-        low_row, down = box_place(i, box, even.shape[0])
-        for j in range(shape[1]):
-            low_column, right = box_place(j, box, even.shape[1])
-            if np.floor(stripes[0] * (j + 0.5) + stripes[1] * (i + 0.5)) % 2.0 == 0.0:
-                z = between(odd, low_row, down, low_column, right)
-            else:
-                z = between(even, low_row, down, low_column, right)
-            result[i, j] = np.arctan2(z.imag, z.real) / (2.0 * np.pi)
-    return result
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def spread_boxes(values, box, shape):  # type: ignore[no-untyped-def]
+def spread_boxes(
+    values: NDArray[np.inexact], box: int, shape: tuple[int, int]
+) -> NDArray[np.inexact]:
     """Interpolate values of boxes to every pixel, between their centres."""
-    result = np.empty(shape)
-    for i in range(shape[0]):
-        low_row, down = box_place(i, box, values.shape[0])
-        for j in range(shape[1]):
-            low_column, right = box_place(j, box, values.shape[1])
-            result[i, j] = between(values, low_row, down, low_column, right)
-    return result
+    down, right = (_between(box, n, m) for n, m in zip(values.shape, shape, strict=True))
+    return np.asarray(down @ values @ right.T)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -138,56 +99,39 @@ def phase_at(i, j, shape, field, per_pixel):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def block_table(edges):  # type: ignore[no-untyped-def]
-    """Table of the block at many even steps of range, and the number of steps per metre."""
-    blocks = edges.size - 1
-    scale = 8 * blocks / (edges[-1] - edges[0])
-    table = np.empty(8 * blocks, np.int64)
-    b = 0
-    for k in range(table.size):
-        while b + 1 < blocks and edges[b + 1] <= edges[0] + (k + 0.5) / scale:
-            b += 1
-        table[k] = b
-    return table, scale
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def sum_pixels(  # type: ignore[no-untyped-def]
-    power, used, saturated, ground_range, altitude, trend, field, per_pixel, along, edges, bins, box
+    power, used, saturated, ground_range, field, per_pixel, edges, bins
 ):
-    """Return sums of bins (blocks, bins, BIN_SUMS) and of blocks (blocks, BLOCK_SUMS).
+    """Sum the used pixels over bins of phase, in blocks of range between edges.
 
-    `field` and `per_pixel` are as for :func:`phase_at`; `along` holds the metres along the look per
-    column and per row.
+    `field` and `per_pixel` are as for :func:`phase_at`. Return the block of each pixel, -1
+    where not used, and (blocks, bins) each: the number of pixels, that of those not saturated, and
+    the sums of intensity, phase from the bin's middle (cycles) and ground range.
     """
     rows, columns = power.shape
-    blocks = edges.size - 1
-    table, scale = block_table(edges)
-    sums = np.zeros((blocks, bins, BIN_SUMS))
-    places = np.zeros((blocks, BLOCK_SUMS))
+    blocks, b = edges.size - 1, 0
+    shape = blocks, bins
+    count, clear, total = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    offset, reaches = np.zeros(shape), np.zeros(shape)
+    block = np.full(power.shape, -1, np.int64)
     for i in range(rows):
-        row = i - 0.5 * (rows - 1)
-        low_row, down = box_place(i, box, trend.shape[0])
         for j in range(columns):
             if not used[i, j]:
                 continue
             cycles = phase_at(i, j, power.shape, field, per_pixel)
             k = min(int(cycles * bins), bins - 1)
             reach = ground_range[i, j]
-            b = table[min(max(int((reach - edges[0]) * scale), 0), table.size - 1)]
-            low_column, right = box_place(j, box, trend.shape[1])
-            level = between(trend, low_row, down, low_column, right)
-            sums[b, k, COUNT] += 1.0
-            sums[b, k, UNSATURATED] += 0.0 if saturated[i, j] else 1.0
-            sums[b, k, INTENSITY] += power[i, j] / level
-            sums[b, k, OFFSET] += cycles - (k + 0.5) / bins
-            sums[b, k, REACH] += reach
-            places[b, PIXELS] += 1.0
-            places[b, PLACE] += along[0] * (j - 0.5 * (columns - 1)) + along[1] * row
-            places[b, RANGE] += reach
-            places[b, ALTITUDE] += altitude[i, j]
-            places[b, TREND] += level
-    return sums, places
+            while b + 1 < blocks and edges[b + 1] <= reach:
+                b += 1
+            while b > 0 and edges[b] > reach:
+                b -= 1
+            count[b, k] += 1.0
+            clear[b, k] += 0.0 if saturated[i, j] else 1.0
+            total[b, k] += power[i, j]
+            offset[b, k] += cycles - (k + 0.5) / bins
+            reaches[b, k] += reach
+            block[i, j] = b
+    return block, count, clear, total, offset, reaches
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
