@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
-from scipy.ndimage import binary_closing, binary_erosion
+from scipy.ndimage import binary_closing, binary_erosion, fourier_gaussian
 
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import box_sums
@@ -94,7 +95,7 @@ def demodulate(image: Image, wave: FloatArray) -> BoxSums:
     turned = [box_sums(v, image.valid, per_column, per_row, size)[0] for v in (image.power, one)]
     twice = box_sums(one, image.valid, 2 * per_column, 2 * per_row, size)[0]
     wavelength = pixels / size
-    smooth = Smoother(sums[0].shape, TREND_SD * wavelength)
+    smooth = partial(smoothed, sd=TREND_SD * wavelength)
     count, count1, count2 = smooth(sums[1]).real, smooth(turned[1]), smooth(twice)
     trend = range_trend(image, size)
     for _ in range(TREND_ROUNDS):
@@ -186,7 +187,7 @@ def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m, whose phase differs little over a box.
     """
-    along, across = box_places(image, boxes)
+    along, across = (image.project(v, boxes.size) for v in (image.look, image.beside))
     change = wave - boxes.wave
     turn = np.exp(-2j * np.pi * (change @ image.look * along + change @ image.beside * across))
     return replace(boxes, wave=wave, turned=boxes.turned * turn)
@@ -203,28 +204,16 @@ def turned_back(image: Image, boxes: BoxSums, lag: tuple[FloatArray, FloatArray]
         Ground ranges, m, increasing, and the ripple's phase at which the fundamental peaks there,
         rad.
     """
-    along, _ = box_places(image, boxes)
+    along = image.project(image.look, boxes.size)
     phase = np.interp(image.mean_range + along, *lag)
     return replace(boxes, turned=boxes.turned * np.exp(1j * phase))
 
 
-class Smoother:
-    """Gaussian smoothing of arrays of one shape, taken as zero outside."""
-
-    def __init__(self, shape: tuple[int, int], sd: float) -> None:
-        self._shape = shape
-        pad = int(4 * min(sd, max(shape)))
-        full = [next_fast_len(n + pad) for n in shape]
-        frequency = [
-            np.fft.fftfreq(n)[:, None] if i == 0 else np.fft.fftfreq(n) for i, n in enumerate(full)
-        ]
-        self._full = (full[0], full[1])
-        self._window = np.exp(-2 * (np.pi * sd) ** 2 * (frequency[0] ** 2 + frequency[1] ** 2))
-
-    def __call__(self, values: NDArray[np.generic]) -> ComplexArray:
-        """Smooth an array of that shape."""
-        wide = ifft2(fft2(values, self._full) * self._window)
-        return np.asarray(wide[: self._shape[0], : self._shape[1]])
+def smoothed(values: NDArray[np.generic], sd: float) -> ComplexArray:
+    """Smooth an array by a Gaussian of standard deviation `sd`, as if it were zero outside."""
+    rows, columns = values.shape
+    wide = [next_fast_len(n + int(4 * min(sd, max(values.shape)))) for n in values.shape]
+    return np.asarray(ifft2(fourier_gaussian(fft2(values, wide), sd))[:rows, :columns])
 
 
 def _local_trend(
@@ -254,21 +243,9 @@ def _local_trend(
     return np.asarray(np.maximum(np.clip(level, 0.5 * plain, 2 * plain), 1e-9))
 
 
-def box_places(image: Image, boxes: BoxSums) -> tuple[FloatArray, FloatArray]:
-    """Return positions of box centres along and across the look from the clip's centre, m."""
-    rows, columns = image.shape
-    down = (np.arange(boxes.count.shape[0]) + 0.5) * boxes.size - 0.5 - (rows - 1) / 2
-    right = (np.arange(boxes.count.shape[1]) + 0.5) * boxes.size - 0.5 - (columns - 1) / 2
-    result = []
-    for direction in (image.look, image.beside):
-        per_column, per_row = direction @ image.steps
-        result.append(per_column * right[None, :] + per_row * down[:, None])
-    return result[0], result[1]
-
-
 def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
     """Wave vector (east, north), cycles/m, at which the demodulated clip is most coherent."""
-    along, across = box_places(image, boxes)
+    along, across = (image.project(v, boxes.size) for v in (image.look, image.beside))
     place = np.stack([along[weight], across[weight]])
     values = boxes.turned[weight]
     spread = place.std(axis=1) + 1e-9
@@ -302,14 +279,9 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
     filled = boxes.count > 0
     angle = angles_from_vertical(image, boxes.size)
     for sd in (0.8, 1.3, 2.0):
-        smooth = Smoother(filled.shape, sd * boxes.wavelength)
-        count = np.maximum(smooth(boxes.count).real, 1e-3 * boxes.count.max())
-        noise = boxes.variance / (4 * np.pi * (sd * boxes.wavelength * boxes.size) ** 2)
-        noise = noise * boxes.count.max() / count
-        local = np.maximum(np.abs(smooth(boxes.turned) / count) ** 2 - noise, 0)
-        level = np.sqrt(local) / angle
+        _, level, error = local_amplitudes(boxes, sd, angle)
         high = float(np.quantile(level[filled], 0.85))
-        if float(np.median((np.sqrt(noise) / angle)[filled])) > SURE * high:
+        if float(np.median(error[filled])) > SURE * high:
             continue
         rippled = filled & (level > BARE * high)
         rippled = filled & closed(rippled)  # gaps that forks leave have ripples around them
@@ -318,6 +290,28 @@ def covered_boxes(image: Image, boxes: BoxSums) -> BoolArray:
         inside = binary_erosion(rippled | ~filled, iterations=RIM, border_value=1)
         return np.asarray(filled & inside)
     return filled
+
+
+def local_amplitudes(
+    boxes: BoxSums, sd: float, angle: FloatArray
+) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Smooth the amplitudes of boxes over `sd` wavelengths.
+
+    Returns
+    -------
+    field : ndarray of complex (box rows, box columns)
+        Complex amplitude.
+    level, error : ndarray (box rows, box columns)
+        Its size without that of speckle, and speckle's, both over the angle from the vertical.
+    """
+    reach = sd * boxes.wavelength
+    count = np.maximum(smoothed(boxes.count, reach).real, 1e-3 * boxes.count.max())
+    field = smoothed(boxes.turned, reach) / count
+    # speckle: variance of a mean over the Gaussian's area, which is smaller at edges and holes
+    noise = boxes.variance / (4 * np.pi * (reach * boxes.size) ** 2)
+    noise = noise * boxes.count.max() / count
+    level = np.sqrt(np.maximum(np.abs(field) ** 2 - noise, 0)) / angle
+    return field, level, np.sqrt(noise) / angle
 
 
 def closed(boxes: BoolArray) -> BoolArray:
@@ -376,7 +370,6 @@ def local_ratio(
     """
     sums = [box_sums(v, used, 0.0, 0.0, box)[0].real for v in (image.power, model)]
     wavelength = 1 / float(np.hypot(*image.per_pixel(wave)) * box)
-    smooth = Smoother(sums[0].shape, TREND_SD * wavelength)
-    seen, expected = (smooth(v).real for v in sums)
+    seen, expected = (smoothed(v, TREND_SD * wavelength).real for v in sums)
     known = expected > 1e-3 * expected.max()
     return np.where(known, np.maximum(seen, 0.05 * expected) / np.where(known, expected, 1.0), 1.0)

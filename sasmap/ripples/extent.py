@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, grey_closing, grey_opening, label
+from scipy.ndimage import grey_closing, grey_opening, label
 from scipy.special import ndtr
 
 from sasmap.ripples.demodulation import (
@@ -21,13 +21,13 @@ from sasmap.ripples.demodulation import (
     BoxSums,
     angles_from_vertical,
     demodulate,
+    local_amplitudes,
     windings,
 )
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import spread_boxes
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude; the smallest is
 # used at which the error from speckle is below SURE times the ripples' amplitude.
@@ -118,15 +118,8 @@ def _local(
     filled = boxes.count > 0
     angle = angles_from_vertical(image, boxes.size)
     for sd in SMOOTHING:
-        reach = sd * boxes.wavelength
-        count = gaussian_filter(boxes.count, reach, mode="constant")
-        count = np.maximum(count, 1e-3 * boxes.count.max())
-        field = gaussian_filter(boxes.turned, reach, mode="constant") / count
-        # speckle: variance of a mean over the Gaussian's area, which is smaller at edges and holes
-        noise = boxes.variance / (4 * np.pi * (reach * boxes.size) ** 2)
-        noise = noise * boxes.count.max() / count
-        level = np.sqrt(np.maximum(np.abs(field) ** 2 - noise, 0)) / angle
-        error = np.sqrt(0.5 * noise) / angle
+        field, level, noise = local_amplitudes(boxes, sd, angle)
+        error = np.sqrt(0.5) * noise  # of one component of the amplitude
         own = _own_level(level, boxes.count * filled) if given is None else given
         if float(np.median(error[filled])) < SURE * own:
             break

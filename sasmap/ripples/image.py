@@ -78,20 +78,16 @@ class Image:
         """Square root of a pixel's area, m."""
         return float(np.sqrt(abs(np.linalg.det(self.steps))))
 
-    @cached_property
-    def rows_and_columns(self) -> tuple[FloatArray, FloatArray]:
-        """Row (rows, 1) and column (1, columns) numbers from the clip's centre."""
-        rows, columns = self.shape
-        return (
-            (np.arange(rows, dtype=np.float64) - (rows - 1) / 2)[:, None],
-            (np.arange(columns, dtype=np.float64) - (columns - 1) / 2)[None, :],
-        )
+    def project(self, direction: FloatArray, size: int = 1) -> FloatArray:
+        """Distance along a unit vector (east, north) from the clip's centre, m.
 
-    def project(self, direction: FloatArray) -> FloatArray:
-        """Distance (m) of pixels from the clip's centre along a unit vector (east, north)."""
-        row, column = self.rows_and_columns
+        That of pixels, or of the centres of boxes of `size` by `size` pixels.
+        """
+        row, column = (
+            (np.arange(-(-n // size)) + 0.5) * size - 0.5 - (n - 1) / 2 for n in self.shape
+        )
         per_column, per_row = direction @ self.steps
-        return np.asarray(per_column * column + per_row * row)
+        return np.asarray(per_column * column + per_row * row[:, None])
 
     @cached_property
     def mean_range(self) -> float:

@@ -18,9 +18,8 @@ from scipy.fft import fft2, ifft2, next_fast_len
 
 from sasmap.ripples.demodulation import (
     BoxSums,
-    Smoother,
-    box_places,
     covered_boxes,
+    smoothed,
     windings,
 )
 from sasmap.ripples.image import Image
@@ -134,7 +133,7 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     """
     covered = covered_boxes(image, boxes)
     one = np.ones(boxes.count.shape, complex)
-    along, across = box_places(image, boxes)
+    along, across = (image.project(v, boxes.size) for v in (image.look, image.beside))
     total = np.where(covered, boxes.turned, 0).sum()
     return PhaseField(
         boxes.wave,
@@ -191,9 +190,9 @@ def trial_fields(boxes: BoxSums) -> FieldTrials:
     whole = abs(boxes.turned.sum())
     scores, fields = [], []
     for stiffness in STIFFNESS:
-        smooth = Smoother(boxes.count.shape, max(stiffness * boxes.wavelength, 0.8))
-        first = smooth(np.where(even, boxes.turned, 0))
-        second = smooth(np.where(even, 0, boxes.turned))
+        sd = max(stiffness * boxes.wavelength, 0.8)
+        first = smoothed(np.where(even, boxes.turned, 0), sd)
+        second = smoothed(np.where(even, 0, boxes.turned), sd)
         fields.append((first, second))
         unseen = np.where(even, _unit(second), _unit(first))
         scores.append(float((boxes.turned * np.conj(unseen)).sum().real) / max(whole, 1e-300))

@@ -118,13 +118,13 @@ def test_the_field_follows_the_true_phase():
     boxes = demodulate(image, made.wave)
     field = best_field(image, boxes, trial_fields(boxes))
     cycles = field.cycles
-    row, column = image.rows_and_columns
+    row, column = (np.arange(n) - (n - 1) / 2 for n in image.shape)
     per_column, per_row, _ = field.per_pixel(image)
-    seen = 2 * np.pi * (cycles + per_column * column + per_row * row)
+    seen = 2 * np.pi * (cycles + per_column * column + per_row * row[:, None])
     # the true phase shows as crests: intensity is highest a quarter before them
     power = image.power / spread_boxes(boxes.trend, boxes.size, image.shape)
     folded = np.abs((power * np.exp(-1j * seen)).mean())
-    plane = 2 * np.pi * (per_column * column + per_row * row)
+    plane = 2 * np.pi * (per_column * column + per_row * row[:, None])
     flat = np.abs((power * np.exp(-1j * plane)).mean())
     assert folded > 1.1 * flat
     truth = true_phase(1)
