@@ -25,7 +25,6 @@ from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
-from sasmap.ripples.sampler import log_sum
 
 FloatArray = NDArray[np.float64]
 
@@ -364,7 +363,7 @@ def evidence_of_law(law: LawLikelihood, shared: Shared) -> FloatArray:
     level = law.level + gain + 0.5 * (square / determinant - np.log(determinant))
     level += 0.5 * (np.log(weight) - weight * shared.law**2).sum()
     level = np.where(possible, level, LEAST_LEVEL)
-    return np.asarray(log_sum(level.T))
+    return np.asarray(np.logaddexp.reduce(level, axis=1))
 
 
 def _shape_corrected(law: LawLikelihood, shared: Shared) -> tuple[FloatArray, FloatArray]:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import StrEnum
-from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2
+from scipy.special import expit
 
 from sasmap.ripples.flattening import flattened
 from sasmap.ripples.fringes import follows_grazing
@@ -32,6 +32,7 @@ from sasmap.ripples.spectra import (
     MIN_WAVES,
     Peak,
     clip_peaks,
+    compared,
     other_peaks,
     taper,
     within_reach,
@@ -143,7 +144,7 @@ class Wave(NamedTuple):
     @property
     def probability(self) -> float:
         """Probability that it is a ripple."""
-        return float(1 / (1 + np.exp(-np.clip(self.evidence, -700, 700))))
+        return float(expit(self.evidence))
 
 
 class Found(NamedTuple):
@@ -185,17 +186,17 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
     flat, gains = flattened(image)
     peaks = clip_peaks(flat, image.valid)
     peaks = sorted((p for p in peaks if _within(image, p, bounds)), key=lambda p: -p.evidence)
-    across = [_along_look(image, p) > MIN_ALONG for p in peaks]
-    seen = list(compress(peaks, across))[:CANDIDATES]
-    along = [p for p, good in zip(peaks, across, strict=True) if not good]
+    seen = [p for p in peaks if _along_look(image, p) > MIN_ALONG][:CANDIDATES]
+    along = [p for p in peaks if _along_look(image, p) <= MIN_ALONG][:CANDIDATES]
     waves = _judged(image, flat, seen)
     if waves and waves[0].evidence > 0:
-        waves += _beside(image, flat, waves, bounds)
+        first = max((w for w in waves if w.evidence > 0), key=lambda w: w.energy)
+        waves += _given(image, flat, image.per_pixel(first.vector), bounds)
     elif seen:
         waves = _crossing(image, flat, seen, bounds) + waves
     unclear = None
     if not waves or waves[0].evidence < 0:
-        hidden = any(_wave(image, flat, p).evidence > SURE for p in along[:CANDIDATES])
+        hidden = any(_wave(image, flat, p).evidence > SURE for p in along)
         unclear = _unclear(image, flat, gains, hidden, bounds)
     shown = np.array([w.vector for w in waves if w.evidence > 0])
     if shown.size and follows_grazing(image, flat, shown):
@@ -221,14 +222,6 @@ def _whole(peak: Peak, flat: FloatArray) -> bool:
     return peak.part == (slice(0, flat.shape[0]), slice(0, flat.shape[1]))
 
 
-def _beside(
-    image: Image, flat: FloatArray, waves: list[Wave], bounds: tuple[float, float]
-) -> list[Wave]:
-    """Find waves of another system beside the strongest detected one."""
-    first = max((w for w in waves if w.evidence > 0), key=lambda w: w.energy)
-    return _given(image, flat, image.per_pixel(first.vector), bounds)
-
-
 def _given(
     image: Image, flat: FloatArray, known: FloatArray, bounds: tuple[float, float]
 ) -> list[Wave]:
@@ -246,9 +239,8 @@ def _given(
 
 def _overtone(one: FloatArray, other: FloatArray) -> bool:
     """Whether a wave is about half or twice as long as another one of the same direction."""
-    lengths = sorted((float(np.hypot(*one)), float(np.hypot(*other))))
-    along = abs(float(one @ other)) > SAME * lengths[0] * lengths[1]
-    return along and abs(lengths[1] / lengths[0] - 2) < NEARLY_TWICE
+    ratio, cosine = compared(one, other)
+    return cosine > SAME and abs(max(ratio, 1 / ratio) - 2) < NEARLY_TWICE
 
 
 def _crossing(
@@ -278,8 +270,7 @@ def _within(image: Image, peak: Peak, bounds: tuple[float, float]) -> bool:
 
 def _along_look(image: Image, peak: Peak) -> float:
     """Cosine of the angle between a wave's normal and the look."""
-    vector = image.per_metre(peak.per_pixel)
-    return float(abs(vector @ image.look) / np.hypot(*vector))
+    return compared(image.per_metre(peak.per_pixel), image.look)[1]
 
 
 def _wave(image: Image, flat: FloatArray, peak: Peak, beside: bool = False) -> Wave:
@@ -334,7 +325,7 @@ def _rivals(
 
 
 def _ramp(value: float, low: float, high: float) -> float:
-    return float(np.clip((value - low) / (high - low), 0, 1))
+    return float(np.interp(value, (low, high), (0.0, 1.0)))
 
 
 def _unclear(

@@ -109,21 +109,9 @@ def _ess(draws: FloatArray) -> float:
 
 
 def _geyer(rho: FloatArray, size: int) -> float:
-    n = rho.size
-    kept = np.zeros(n)
-    kept[0], kept[1] = rho[0], rho[1]
-    t, even, odd = 1, rho[0], rho[1]
-    while t < n - 3 and even + odd > 0:
-        even, odd = rho[t + 1], rho[t + 2]
-        if even + odd >= 0:
-            kept[t + 1], kept[t + 2] = even, odd
-        t += 2
-    last = t - 2
-    if even > 0:
-        kept[last + 1] = even
-    for t in range(1, last - 1, 2):
-        if kept[t + 1] + kept[t + 2] > kept[t - 1] + kept[t]:
-            kept[t + 1] = kept[t + 2] = (kept[t - 1] + kept[t]) / 2
-    time = -1 + 2 * kept[: last + 1].sum() + kept[last + 1]
-    time = max(time, 1 / np.log10(size))
-    return float(size / time)
+    pairs = rho[: 2 * max((rho.size - 1) // 2, 1)].reshape(-1, 2)
+    sums = pairs.sum(axis=1)
+    last = int(np.argmax(np.append(sums[:-1] <= 0, True)))
+    tail = pairs[last, 0] if sums[last] >= 0 else max(pairs[last, 0], 0.0)
+    time = 2 * np.minimum.accumulate(sums[:last]).sum() + tail - 1
+    return float(size / max(time, 1 / np.log10(size)))

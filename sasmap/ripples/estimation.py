@@ -50,6 +50,7 @@ from sasmap.ripples.rendering import (
 from sasmap.ripples.ridge import along_ridges
 from sasmap.ripples.sampler import mixture_of_peaks, sample
 from sasmap.ripples.settings import RippleSettings
+from sasmap.ripples.spectra import compared
 
 FloatArray = NDArray[np.float64]
 
@@ -268,8 +269,7 @@ def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
     """
     most = max((wave.energy for wave in waves), default=0.0)
     for wave in waves:
-        ratio = float(np.hypot(*wave.vector) / np.hypot(*first))
-        cosine = float(abs(wave.vector @ first) / (np.hypot(*wave.vector) * np.hypot(*first)))
+        ratio, cosine = compared(wave.vector, first)
         # shadow broadens and shifts overtones
         faint = ratio > SHORTER and wave.energy < FAINT * most
         overtone = cosine > OVERTONE and (faint or abs(ratio - round(ratio)) < 0.1 * ratio)
@@ -282,8 +282,7 @@ def second_system(waves: list[Wave], first: FloatArray) -> Wave | None:
 
 def _harmonic(wave: Wave, first: Wave) -> bool:
     """Whether a wave has about half or twice the frequency of another in the same direction."""
-    ratio = np.hypot(*wave.vector) / np.hypot(*first.vector)
-    cosine = abs(wave.vector @ first.vector) / (np.hypot(*wave.vector) * np.hypot(*first.vector))
+    ratio, cosine = compared(wave.vector, first.vector)
     return bool(cosine > 0.97 and (abs(ratio - 0.5) < 0.06 or abs(ratio - 2) < 0.2))
 
 

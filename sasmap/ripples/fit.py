@@ -189,7 +189,7 @@ def refined(task: Task, fit: Fit) -> Fit:
     The first trend is estimated without the pulse and absorbs part of it at the clip's edges.
     """
     image, phase = task.image, fit.phase
-    used = image.valid & phase.pixels(phase.covered, image.shape)
+    used = image.valid & phase.pixels(phase.covered)
     for _ in range(TREND_ROUNDS):
         means, gains = expected_at(fit, fit.z)
         means = means / gains[:, None]

@@ -61,7 +61,7 @@ def histogram(
     published : bool
         Whether Zare and Cobb's model is fitted.
     """
-    used = image.valid & phase.pixels(phase.covered, image.shape)
+    used = image.valid & phase.pixels(phase.covered)
     along = float(phase.wave @ image.look)
     a_pixel, most = SHARP_BINS if published else BINS
     bins = int(np.clip(round(a_pixel / (along * image.pixel_size)), LEAST_BINS, most))

@@ -54,7 +54,7 @@ def modelled(clip: Clip, image: Image, fit: Fit, points: FloatArray) -> FloatArr
     whole = replace(phase, even=phase.both, odd=phase.both)
     geometry = np.isfinite(clip.ground_range) & (clip.ground_range > 0) & (clip.altitude > 0)
     inside = closed(binary_dilation(phase.covered, iterations=RIM))
-    known = geometry & phase.pixels(inside, image.shape)
+    known = geometry & phase.pixels(inside)
     cycles, per_pixel = whole.cycles, whole.per_pixel(image)
 
     reach = fit.data.ground_range

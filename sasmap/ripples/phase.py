@@ -50,8 +50,6 @@ class PhaseField:
     ----------
     wave : ndarray (2,)
         Wave vector (east, north) that the field is relative to, cycles/m.
-    rigid : bool
-        Whether crests are straight, so that there is no field.
     shape : tuple of int
         Shape of the image: rows, columns.
     box : int
@@ -77,7 +75,6 @@ class PhaseField:
     """
 
     wave: FloatArray
-    rigid: bool
     shape: tuple[int, int]
     box: int
     stripes: FloatArray
@@ -97,6 +94,11 @@ class PhaseField:
         return np.append(image.per_pixel(self.wave), self.origin)
 
     @property
+    def rigid(self) -> bool:
+        """Whether crests are straight, so that there is no field."""
+        return bool(np.isinf(self.stiffness))
+
+    @property
     def middle(self) -> float:
         """Mean phase of the wave's image, referred to the clip's centre, cycles."""
         if self.rigid:
@@ -114,12 +116,10 @@ class PhaseField:
         even, odd = (spread_boxes(f, self.box, self.shape) for f in (self.even, self.odd))
         return np.asarray(np.angle(np.where(stripe % 2 == 0, odd, even)) / (2 * np.pi))
 
-    def pixels(self, boxes: BoolArray, shape: tuple[int, int]) -> BoolArray:
+    def pixels(self, boxes: BoolArray) -> BoolArray:
         """Expand a mask of boxes to the image's pixels."""
-        if boxes.all():
-            return np.ones(shape, bool)
         wide = np.repeat(np.repeat(boxes, self.box, axis=0), self.box, axis=1)
-        return wide[: shape[0], : shape[1]]
+        return wide[: self.shape[0], : self.shape[1]]
 
 
 def straight(image: Image, boxes: BoxSums) -> PhaseField:
@@ -137,7 +137,6 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     total = np.where(covered, boxes.turned, 0).sum()
     return PhaseField(
         boxes.wave,
-        True,
         image.shape,
         boxes.size,
         boxes.stripes,
@@ -160,20 +159,18 @@ def _along_and_across(image: Image, wave: FloatArray) -> FloatArray:
 
 
 class FieldTrials(NamedTuple):
-    """How well phase fields predict boxes that were not used to estimate them.
+    """Phase fields, and how well they predict boxes that were not used to estimate them.
 
     Attributes
     ----------
     scores : ndarray
         Predicted amplitude for each of STIFFNESS, over that of a plane wave.
-    even, odd, both : list of ndarray of complex
-        The fields, smoothed.
+    fields : list of tuple of ndarray of complex
+        The fields of even and of odd stripes, smoothed.
     """
 
     scores: FloatArray
-    even: list[ComplexArray]
-    odd: list[ComplexArray]
-    both: list[ComplexArray]
+    fields: list[tuple[ComplexArray, ComplexArray]]
 
 
 def trial_fields(boxes: BoxSums) -> FieldTrials:
@@ -196,12 +193,7 @@ def trial_fields(boxes: BoxSums) -> FieldTrials:
         fields.append((first, second))
         unseen = np.where(even, _unit(second), _unit(first))
         scores.append(float((boxes.turned * np.conj(unseen)).sum().real) / max(whole, 1e-300))
-    return FieldTrials(
-        np.array(scores),
-        [f for f, _ in fields],
-        [s for _, s in fields],
-        [f + s for f, s in fields],
-    )
+    return FieldTrials(np.array(scores), fields)
 
 
 def with_slight_bends(image: Image, phase: PhaseField, trials: FieldTrials) -> PhaseField:
@@ -223,19 +215,18 @@ def _unit(values: ComplexArray) -> ComplexArray:
 def best_field(image: Image, boxes: BoxSums, trials: FieldTrials) -> PhaseField:
     """Return the phase field that predicts the clip best."""
     best = int(np.argmax(trials.scores / STRAIGHT))
-    even, odd, both = (f[best] for f in (trials.even, trials.odd, trials.both))
+    even, odd = trials.fields[best]
+    field = _unit(even + odd)
     covered = covered_boxes(image, boxes)
     weight = np.where(covered, boxes.count, 0.0)
     product = even * np.conj(odd)
     agree = (weight * _unit(product)).sum().real / max(weight.sum(), 1.0)
     smear = float(np.clip(np.sqrt(-np.log(np.clip(agree, 0.1, 0.9999))), 0.05, 1.2))
     # the stiffer fields pass over some forks; none is counted where crests only wander
-    forks = max(_forks(_unit(field), weight) for field in trials.both)
-    mean, sd = _mean_wave(image, boxes, _unit(both), weight, smear, forks)
-    field = _unit(both)
+    forks = max(_forks(_unit(one + other), weight) for one, other in trials.fields)
+    mean, sd = _mean_wave(image, boxes, field, weight, smear, forks)
     return PhaseField(
         boxes.wave,
-        False,
         image.shape,
         boxes.size,
         boxes.stripes,

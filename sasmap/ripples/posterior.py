@@ -37,18 +37,12 @@ class Quality(IntEnum):
     @property
     def label(self) -> str:
         """Human-readable name."""
-        return _LABELS[self]
+        return LABELS.get(self, self.name.lower().replace("_", " "))
 
 
-_LABELS = {
-    Quality.NO_DATA: "no data",
-    Quality.GOOD: "good",
-    Quality.NO_RIPPLES: "no ripples",
-    Quality.NOT_CONVERGED: "not converged",
+LABELS = {
     Quality.CONTRADICTION: "passes contradict each other",
-    Quality.NOT_IDENTIFIABLE: "not identifiable",
     Quality.TOO_FEW_PIXELS: "too few valid pixels",
-    Quality.FAILED: "failed",
 }
 
 

@@ -86,13 +86,8 @@ class Proposal:
         squares = np.empty((len(points), self.mixture.weight.size))
         fill_squares(points, self.mixture.mean, self._inverse, squares)
         power = 0.5 * (STUDENT + points.shape[1])
-        return log_sum((self._norm - power * np.log1p(squares / STUDENT)).T)
-
-
-def log_sum(logs: FloatArray) -> FloatArray:
-    """Log of the sum of exponentials along the first axis."""
-    top = logs.max(axis=0)
-    return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
+        logs = self._norm - power * np.log1p(squares / STUDENT)
+        return np.asarray(np.logaddexp.reduce(logs, axis=1))
 
 
 class Chains(NamedTuple):
@@ -136,7 +131,8 @@ def metropolis_hastings(
     """
     chains, size = starts.shape
     points = proposal.draw(chains * steps, rng)
-    excesses = (log_density(points) - proposal.log_density(points)).reshape(steps, chains)
+    levels = log_density(points).reshape(steps, chains)
+    densities = proposal.log_density(points).reshape(steps, chains)
     points = points.reshape(steps, chains, size)
     local = -(-steps // LOCAL)
     pairs = rng.integers(len(particles), size=(2, local, chains))
@@ -145,22 +141,17 @@ def metropolis_hastings(
     anew = np.log(rng.random((steps, chains)))
     draws = np.empty((chains, steps, size))
     accepted = 0
-    state = starts.copy()
-    level = log_density(state)
-    excess = level - proposal.log_density(state)
+    state, level, proposed = starts, log_density(starts), proposal.log_density(starts)
     for k in range(steps):
         if k % LOCAL == 0:
             moved = state + jumps[k // LOCAL]
-            level = excess + proposal.log_density(state)
             reached = log_density(moved)
             near = nearer[k // LOCAL] < reached - level
-            if near.any():
-                state = np.where(near[:, None], moved, state)
-                above = np.where(near, reached, level) - proposal.log_density(state)
-                excess = np.where(near, above, excess)
-        far = anew[k] < excesses[k] - excess
+            state, level = np.where(near[:, None], moved, state), np.where(near, reached, level)
+            proposed = proposal.log_density(state) if near.any() else proposed
+        far = anew[k] < levels[k] - densities[k] - (level - proposed)
         state = np.where(far[:, None], points[k], state)
-        excess = np.where(far, excesses[k], excess)
+        level, proposed = np.where(far, levels[k], level), np.where(far, densities[k], proposed)
         accepted += int(far.sum())
         draws[:, k] = state
     return Chains(draws, accepted / (chains * steps))
@@ -241,29 +232,22 @@ def mixture_of_peaks(peaks: list[tuple[FloatArray, FloatArray, float]]) -> Propo
     return Proposal(Mixture(weight / weight.sum(), np.array([p[0] for p in peaks]), covariance))
 
 
-def fit_proposal(points: FloatArray, effective: float) -> Proposal:
+def refitted(proposal: Proposal, points: FloatArray, effective: float) -> Proposal:
     """Fit a proposal to a population of equal weights.
 
     Parameters
     ----------
+    proposal : Proposal
+        Returned as it is if there are too few distinct points.
     points : ndarray (n, size)
     effective : float
-        Effective number of independent points.
-
-    Returns
-    -------
-    Proposal
-        The number of components is chosen by the Bayesian information criterion.
+        Effective number of independent points, which limits the number of components (Bayesian
+        information criterion).
     """
-    fitted = fitted_mixture(points, COMPONENTS, effective, FLOOR, EM_ROUNDS, EM_ENOUGH)
-    return Proposal(fitted._replace(covariance=WIDENED**2 * fitted.covariance))
-
-
-def refitted(proposal: Proposal, points: FloatArray, effective: float) -> Proposal:
-    """Fit a proposal to a population; keep the present one if there are too few distinct points."""
     if np.unique(points[:, 0]).size <= LEAST_PLACES * points.shape[1]:
         return proposal
-    return fit_proposal(points, effective)
+    fitted = fitted_mixture(points, COMPONENTS, effective, FLOOR, EM_ROUNDS, EM_ENOUGH)
+    return Proposal(fitted._replace(covariance=WIDENED**2 * fitted.covariance))
 
 
 def population(
@@ -297,7 +281,7 @@ def population(
         levels = np.concatenate([levels, log_density(drawn)])
         if not np.isfinite(levels).any():
             continue
-        together = log_sum(np.array([p.log_density(points) for p in proposals]))
+        together = np.logaddexp.reduce([p.log_density(points) for p in proposals])
         log_weight = levels - together
         weight = tempered(log_weight, ADAPTED * points.shape[1])
         chosen = points[resampled(weight, 3 * POINTS, rng)]

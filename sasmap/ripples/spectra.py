@@ -418,8 +418,15 @@ def within_reach(one: FloatArray, other: FloatArray) -> bool:
     one, other : ndarray (2,)
         Cycles per column and row.
     """
-    lengths = float(np.hypot(*one)), float(np.hypot(*other))
-    cosine = min(abs(float(one @ other)) / (lengths[0] * lengths[1]), 1.0)
-    steps = abs(np.log2(lengths[0] / lengths[1])) * OCTAVE
+    ratio, cosine = compared(one, other)
     turn = np.arccos(cosine) / np.pi * DIRECTIONS
-    return bool(steps <= REACH[0] and turn <= REACH[1])
+    return bool(abs(np.log2(ratio)) * OCTAVE <= REACH[0] and turn <= REACH[1])
+
+
+def compared(one: FloatArray, other: FloatArray) -> tuple[float, float]:
+    """Ratio of the lengths of two wave vectors (2,), and cosine of the angle between them.
+
+    The cosine is at least 0, as a wave has two vectors of opposite sign.
+    """
+    first, second = float(np.hypot(*one)), float(np.hypot(*other))
+    return first / second, min(abs(float(one @ other)) / (first * second), 1.0)
