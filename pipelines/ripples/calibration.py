@@ -30,7 +30,7 @@ from sasmap.ripples.errors import (
     MODEL_SHIFT,
     THIRD_HARMONIC,
 )
-from sasmap.ripples.fit import ANY_PHASE, FOUND_TO
+from sasmap.ripples.fit import ANY_PHASE, FOUND_TO, OWN_WIDTH
 from sasmap.ripples.optimise import COORDINATES, HEIGHT, TREND
 from sasmap.ripples.rendering import (
     LAW_BOUNDS,
@@ -87,7 +87,7 @@ def geometry_of(scene: Scene, rng: np.random.Generator) -> Geometry:
         range_middle=scene.near + 0.5 * scene.side * scene.pixel,
         altitude_middle=scene.altitude,
         altitude_sd=ALTITUDE_SD,
-        expected_blur=0.5 * scene.pixel * along,
+        expected_blur=OWN_WIDTH**0.5 * scene.pixel * scene.frequency,
         wave_sd=FOUND_TO / (scene.side * scene.pixel),
         phase_sd=ANY_PHASE,
         bent=False,

@@ -1,8 +1,8 @@
-"""Effective number of independent samples in correlated, textured speckle.
+"""What the correlation of speckle tells: independent samples, noise at a wave, point spread.
 
-Both functions estimate one quantity, the spectrum of the relative intensity over that of
-independent speckle: at the wave number of a ripple, for fits to the ripple, and towards zero, for
-averages over an area.
+:func:`effective_samples` and :func:`noise_factor` estimate one quantity, the spectrum of the
+relative intensity over that of independent speckle: towards zero, for averages over an area, and at
+the wave number of a ripple, for fits to the ripple.
 """
 
 from __future__ import annotations
@@ -18,6 +18,15 @@ NOISE_BOUNDS = (0.5, 50.0)
 # Cosine of the angle to the ripple's wave vector below which the residual is speckle alone (37
 # degrees: outside the spread of crests that wander).
 BESIDE = 0.8
+# Relative intensity above which speckle is clipped (exponential speckle exceeds it in 6e-6).
+CLIP = 12.0
+# Distance in pixels at which what remains of the correlation is texture, no speckle: point spread
+# functions of up to three pixels do not reach it.
+TEXTURED = 6
+# Bounds of the correlation of speckle between neighbouring pixels.
+CORRELATION = (1e-3, 0.97)
+# Most by which a blur is longer in one diagonal direction than in the other, as a correlation.
+UPRIGHT = 0.9
 
 
 def effective_samples(amplitude: ArrayLike) -> float:
@@ -72,7 +81,7 @@ def noise_factor(ratio: FloatArray, wave: FloatArray) -> float:
     used = ratio > 0
     count = int(used.sum())
     mean = ratio[used].mean()
-    flat = np.where(used, np.minimum(ratio / mean, 12.0) - 1.0, 0.0)
+    flat = np.where(used, np.minimum(ratio / mean, CLIP) - 1.0, 0.0)
     power = np.abs(rfft2(flat)) ** 2 / count
     per_column, per_row = wave
     rows, columns = ratio.shape
@@ -88,3 +97,49 @@ def noise_factor(ratio: FloatArray, wave: FloatArray) -> float:
     if abs(level) < 2 * np.pi / np.sqrt(6 * ring.sum()):  # two standard deviations
         return 1.0
     return float(np.clip(np.exp(level), *NOISE_BOUNDS))
+
+
+def point_spread(ratio: FloatArray) -> FloatArray:
+    """Estimate how much an image is blurred from the correlation of its speckle.
+
+    Speckle is the sum of many echoes, each with the amplitude's point spread function. Where that
+    is a Gaussian of covariance S, the intensity is blurred by one of covariance S / 2 and its
+    correlation at a distance t is exp(-t S^-1 t / 2) (Goodman 2007, section 4.5).
+
+    Parameters
+    ----------
+    ratio : ndarray (rows, columns)
+        Intensity over its expectation; 0 where there is none.
+
+    Returns
+    -------
+    ndarray (2, 2)
+        Covariance S / 2 over columns and rows, squared pixels; 0 where neighbouring pixels are
+        independent.
+    """
+    used = ratio > 0
+    flat = np.minimum(ratio / ratio[used].mean(), CLIP)
+    flat = np.where(used, flat - flat[used].mean(), 0.0)
+    texture = max(
+        min(_correlation(flat, used, *far) for far in ((TEXTURED, 0), (0, TEXTURED))), 0.0
+    )
+    steps = (1, 0), (0, 1), (1, 1), (1, -1)
+    near = np.array([_correlation(flat, used, *step) for step in steps])
+    if near[:2].max() < CORRELATION[0]:
+        return np.zeros((2, 2))
+    speckle = np.clip((near - texture) / (1.0 - texture), *CORRELATION)
+    column, row, falling, rising = -2.0 * np.log(speckle)
+    # diagonal neighbours may be independent, which says only that the blur is small
+    most = UPRIGHT * np.sqrt(column * row)
+    cross = float(np.clip((falling - rising) / 4.0, -most, most))
+    return np.asarray(0.5 * np.linalg.inv(np.array([[column, cross], [cross, row]])))
+
+
+def _correlation(flat: FloatArray, used: NDArray[np.bool_], column: int, row: int) -> float:
+    """Correlation of used pixels of mean 0 with those `column` and `row` (of any sign) farther."""
+    rows, columns = flat.shape
+    here = slice(max(-row, 0), rows - max(row, 0)), slice(0, columns - column)
+    there = slice(max(row, 0), rows - max(-row, 0)), slice(column, columns)
+    both = max(int((used[here] & used[there]).sum()), 1)
+    product = float((flat[here] * flat[there]).sum()) / both
+    return product / max(float((flat**2).sum()) / max(int(used.sum()), 1), 1e-300)

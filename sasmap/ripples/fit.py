@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sasmap.numerics.looks import noise_factor
+from sasmap.numerics.looks import noise_factor, point_spread
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.demodulation import (
     along_range,
@@ -60,9 +60,11 @@ from sasmap.ripples.residuals import across_look, spread_of_heights
 from sasmap.ripples.settings import RippleSettings, scattering_law
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
-# Expected standard deviation of a sonar's point spread function, pixels.
-POINT_SPREAD = 0.5
+# Variance of the blur by a sonar's point spread function before it is measured, squared pixels, and
+# its least: that of a pixel's own width.
+POINT_SPREAD, OWN_WIDTH = 0.25, 1 / 12
 # Prior standard deviations of the image's wave number, cycles over the clip (the accuracy of
 # detection), and of its phase, rad (that of any phase); of the phase where a field has followed it.
 FOUND_TO, ANY_PHASE, FIELD_PHASE = 0.5, np.pi / np.sqrt(3), 0.1
@@ -146,7 +148,6 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
     along, across = (float(v) for v in phase.mean_wave)
     # refinement may turn a wave seen along its crests past the perpendicular to the look
     along = max(along, LEAST_ALONG * abs(across))
-    lattice = POINT_SPREAD * image.pixel_size * along
     extent = max(float(np.ptp(data.place)), image.pixel_size)
     pixels = data.pixel_count.sum(axis=1)
     middle = [float(np.average(v, weights=pixels)) for v in (data.ground_range, data.altitude)]
@@ -167,7 +168,7 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         altitude_sd=task.altitude_sd,
         wave_sd=FOUND_TO / extent if phase.rigid else FIELD_PHASE / middle[0],
         phase_sd=ANY_PHASE if phase.rigid else FIELD_PHASE,
-        expected_blur=float(np.hypot(lattice, phase.error / (2 * np.pi))),
+        expected_blur=_expected_blur(image, phase, POINT_SPREAD * np.eye(2)),
         bent=not phase.rigid,
         published=task.published,
         shadow=rule,
@@ -181,6 +182,19 @@ def clip_geometry(task: Task, phase: PhaseField, data: Histogram) -> Geometry:
         steepness_middle=prior.steepness[0],
         steepness_sd=prior.steepness[1],
     )
+
+
+def _expected_blur(image: Image, phase: PhaseField, spread: FloatArray) -> float:
+    """Blur along the crest normal by a point spread of covariance `spread`, pixels, in cycles."""
+    wave = image.per_pixel(phase.wave)
+    variance = max(float(wave @ spread @ wave), OWN_WIDTH * float(wave @ wave))
+    return float(np.hypot(np.sqrt(variance), phase.error / (2 * np.pi)))
+
+
+def _relative(image: Image, used: BoolArray, model: FloatArray) -> FloatArray:
+    """Intensity over a modelled one where that is no shadow, 0 elsewhere."""
+    lit = used & (model > DARK)
+    return np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
 
 
 def refined(task: Task, fit: Fit) -> Fit:
@@ -200,13 +214,13 @@ def refined(task: Task, fit: Fit) -> Fit:
         fit = fit._replace(trend=fit.trend * overall)
         model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase.wave, phase.box, used, model)
+        blur = _expected_blur(image, phase, point_spread(_relative(image, used, model)))
+        fit = fit._replace(geometry=fit.geometry._replace(expected_blur=blur))
         fit = turned(image, fit._replace(trend=trend), across_look(image, fit, fit.data, used)[0])
         whole = histogram(image, trend, fit.phase, fit.geometry.published)
         fit = reoptimised(fit, without_local_light(whole), fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
-    lit = used & (model > DARK)
-    ratio = np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
-    factor = noise_factor(ratio, image.per_pixel(phase.wave))
+    factor = noise_factor(_relative(image, used, model), image.per_pixel(phase.wave))
     fit = fit._replace(noise_factor=factor, explained=explained(fit))
     for _ in range(ERROR_ROUNDS):
         fit = reweighted(fit, whole, image.pixel_size)
