@@ -350,12 +350,12 @@ def _labelled(
     along, across = along * stretch, across * stretch
     cycles = fit.phase.middle + named["phase"] / (2 * np.pi) + lag
     # a pulse depends on A_H times the wave number; it was rendered with that of the fit
-    named["height"] *= (fit.geometry.along + fit.z[OFFSET]) / along
+    height = named["height"] * np.exp(change) * (fit.geometry.along + fit.z[OFFSET]) / along
+    named["height"] = np.clip(height, fit.geometry.height_least, fit.geometry.height_most)
     azimuth = image.azimuth + np.degrees(np.arctan2(across, along))
     turns = np.floor(azimuth.mean() / 180.0)
     # the same crests, with the phase counted in the opposite direction
     named["phase"] = 2 * np.pi * ((0.5 - cycles if turns % 2 else cycles) % 1.0)
-    named["height"] *= np.exp(change)
     frequency = np.hypot(along, across)
     return dataset({"frequency": frequency, "azimuth": azimuth - 180.0 * turns, **named})
 

@@ -18,6 +18,7 @@ from tests.ripples.test_clip import turned
 # fewer draws than by default: what is slow to converge is told well enough
 DEFAULT = RippleSettings(draws=1500)
 LAMBERT = RippleSettings(draws=1500, scattering="lambert")
+BLURRED = {"frequency": 2.0, "blur": 1.6}
 # (near, far, f, A_H) of Zare and Cobb's tables and their printed mean squared errors of f and A_H
 TABLES = [
     (36.6, 48.2, 0.6, 0.07, 6e-6, 0.002),
@@ -392,3 +393,13 @@ def test_wave_number_errs_with_law_and_profile_by_as_much_as_it_states(height):
         off.append(float(slope.mean()) - line_of_lags(lags, data)[0] / (2 * np.pi))
     assert 0.8 < np.std(off) / stated < 1.25
     assert stated > 1.1 * tilt
+
+
+@pytest.mark.parametrize("turn", [0.0, 50.0])
+def test_a_point_spread_of_several_pixels_does_not_lower_height(turn):
+    """It takes two thirds of the contrast of ripples ten pixels long; speckle tells its size."""
+    posterior = told(2, height=0.02, settings=LAMBERT, **BLURRED, azimuth_off_look=turn)
+    low, _, high = posterior.quantiles.height.values
+    assert low < 0.02 < high
+    assert abs(float(posterior.mean.height) / 0.02 - 1) < 0.25
+    assert float(posterior.sd.height) < 0.3 * 0.02
