@@ -5,9 +5,10 @@
 Clips of 128 to 400 pixels, as received, display-scaled and as JPEG in turn: ripples of four to
 eight waves with few or many forks, with unevenly spaced crests, in patches, and two systems in one
 direction; straight ripples with crests along the track, and such whose wavelength drifts over
-range; and bands of gain evenly spaced in grazing angle, or in one over the slant range (Lloyd's
-mirror). For each kind the share that is found, not identifiable, and taken for bands; the same
-without the step of crests, narrow hulls and grain (`--without`) shows what these cost.
+range; bands of gain evenly spaced in grazing angle, or in one over the slant range (Lloyd's
+mirror); and rough relief of no direction. For each kind the share that is found, not identifiable,
+and taken for bands; the same without the step of crests, narrow hulls and grain (`--without`) shows
+what these cost.
 """
 
 from __future__ import annotations
@@ -102,6 +103,18 @@ RANGES: dict[str, Callable[[np.ndarray, float, Rng], np.ndarray]] = {
 }
 
 
+def relief(reach: np.ndarray, altitude: float, rng: Rng) -> np.ndarray:
+    """Intensity of rough floor of no direction, with shadow: ground ranges (columns,), m."""
+    size = reach.size
+    height = floors.smooth_noise(rng, size, rng.uniform(1.5, 6.0))
+    height *= PIXEL * rng.uniform(0.05, 0.4) / np.gradient(height, axis=1).std()
+    slope = np.arctan(np.gradient(height, PIXEL, axis=1))
+    ray = (height - altitude) / reach
+    lit = ray >= np.maximum.accumulate(ray, axis=1)
+    power = np.maximum(np.sin(np.arctan2(altitude, reach) + slope), 0.0) ** rng.uniform(1, 3)
+    return np.where(lit, power / power.mean(), 0.0) + 0.01
+
+
 def simulated(seed: int, kind: str) -> Clip:
     """Make a clip of a kind."""
     rng = np.random.default_rng([seed, sum(kind.encode())])
@@ -110,6 +123,8 @@ def simulated(seed: int, kind: str) -> Clip:
     if kind in FLOORS:
         return clip_of(rng, seed, FLOORS[kind](rng, size), near, altitude)
     reach = near + PIXEL * (np.arange(size) + 0.5)
+    if kind == "relief":
+        return clip_of(rng, seed, relief(reach, altitude, rng), near, altitude)
     intensity = over_range(rng, size, RANGES[kind](reach, altitude, rng), 0.02)
     return clip_of(rng, seed, intensity, near, altitude)
 
@@ -119,7 +134,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clips", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--kinds", default=",".join([*FLOORS, *RANGES]))
+    parser.add_argument("--kinds", default=",".join([*FLOORS, *RANGES, "relief"]))
     parser.add_argument("--without", action="store_true")
     options = parser.parse_args()
     if options.without:

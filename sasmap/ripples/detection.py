@@ -184,7 +184,7 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
         Frequencies to search, cycles/m.
     """
     flat, gains = flattened(image)
-    peaks = clip_peaks(flat, image.valid)
+    peaks = clip_peaks(flat, image.valid, image.look @ image.steps)
     peaks = sorted((p for p in peaks if _within(image, p, bounds)), key=lambda p: -p.evidence)
     seen = [p for p in peaks if _along_look(image, p) > MIN_ALONG][:CANDIDATES]
     along = [p for p in peaks if _along_look(image, p) <= MIN_ALONG][:CANDIDATES]
@@ -228,7 +228,7 @@ def _given(
     """Find waves beside a known one (cycles per column and row) of another system."""
     told = (
         _wave(image, flat, p, beside=True)
-        for p in other_peaks(flat, image.valid, known)[:CANDIDATES]
+        for p in other_peaks(flat, image.valid, image.look @ image.steps, known)[:CANDIDATES]
         if _within(image, p, bounds)
         and _along_look(image, p) > MIN_ALONG
         and not _overtone(p.per_pixel, known)
@@ -297,7 +297,7 @@ def _rivals(
     beside: bool,
 ) -> Iterator[float]:
     """Log odds of a peak against alternative explanations, the fastest tests first."""
-    contrast = contrast_of(*places, peak.per_pixel) * np.sqrt(peak.above)  # texture excluded
+    contrast = contrast_of(*places, peak.per_pixel) * peak.above**3  # no texture or relief
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
     if strong > 0:
         strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)

@@ -4,9 +4,9 @@ Amplitude over its trend is transformed, for the whole clip and for its parts, a
 summed over cells of wave vectors: a quarter octave of wavelength by twelve degrees. Ripples are a
 peak in both direction and wavelength, broad where their crests bend, fork and end, narrow where
 they do not. The alternatives have no such peak: texture and correlated speckle have power in all
-directions; trends, edges, bands and grain have more at longer wavelengths; lines and objects have
-as much at shorter ones. Constants without another source were set with
-pipelines/ripples/presence.py.
+directions, relief without a direction in all but those across the look; trends, edges, bands and
+grain have more at longer wavelengths; lines and objects have as much at shorter ones. Constants
+without another source were set with pipelines/ripples/presence.py.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ MIN_PART, MIN_HALF = 80, 60
 # is smooth enough for more); largest ratio of power that counts.
 REFERENCE, MOST_BINS, MOST = 2.0, 12.0, 300.0
 # Anisotropy of the spectrum that grain causes without ripples; assumed ratio of power to that at
-# shorter wavelengths where there are none to compare with.
-UNEVEN, NO_SHORTER = 1.3, 2.5
+# shorter wavelengths where there are none to compare with; squared sine of the angle between normal
+# and look above which relief does not show (18 degrees from the crossing of the two).
+UNEVEN, NO_SHORTER, ACROSS = 1.3, 2.5, 0.9
 # Cap on the evidence against an alternative, above that against the best alternative, nats.
 HEADWAY = 5.0
 # Bins around a narrow peak that give its background level, and log of the number of bins that it is
@@ -70,7 +71,8 @@ class Table(NamedTuple):
     bins : ndarray
         Number of independent bins in that mean.
     aside, longer, shorter : ndarray
-        Mean power at other directions, at longer and at shorter wavelengths.
+        Power expected from that at other directions, and mean power at longer and at shorter
+        wavelengths.
     narrow : ndarray
         Power of the highest bin around each cell.
     power : list of ndarray
@@ -183,11 +185,34 @@ def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
     return np.asarray(1.0 - (reached & (direction <= REACH[1])))
 
 
+def _relief(
+    total: FloatArray, count: FloatArray, aside: FloatArray, look: FloatArray
+) -> FloatArray:
+    """Power of relief that has no direction, from that at other directions (`aside`).
+
+    Seen from the side, slopes towards the sonar show and slopes across the look do not: above the
+    speckle, which is all that is left across it, power follows the squared cosine of the angle
+    between normal and look (`look` in pixels: columns, rows).
+    """
+    turn = np.arctan2(look[1], look[0]) - np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    shown, across = np.cos(turn) ** 2, np.sin(turn) ** 2 > ACROSS
+    soft = _ladder(len(count), _SOFT)
+    held = [(soft @ v)[..., across].sum(axis=-1, keepdims=True) for v in (total, count)]
+    speckle = np.minimum(_mean(held[0], held[1]), aside)
+    there = _mean((count * shown) @ _ring(_ASIDE), count @ _ring(_ASIDE))
+    return np.asarray(speckle + (aside - speckle) * shown / np.maximum(there, 1e-3))
+
+
 def _table(
-    flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
+    flat: FloatArray,
+    valid: BoolArray,
+    parts: list[Part],
+    look: FloatArray,
+    known: FloatArray | None = None,
 ) -> Table:
     """Transform parts of a clip, all of one shape, and sum their power over cells.
 
+    `look` is the direction of the look in pixels: columns, rows.
     Cells within the peak of a known wave (cycles per column and row) are left out.
     """
     shape = flat[parts[0]].shape[0], flat[parts[0]].shape[1]
@@ -212,6 +237,7 @@ def _table(
     level = _mean(soft @ total @ _ring(_SOFT), around)
     aside = _mean(total @ _ring(_ASIDE), count @ _ring(_ASIDE))
     near, near_count = total @ _ring(_NEAR), count @ _ring(_NEAR)
+    aside = np.maximum(aside * UNEVEN, _relief(total, count, aside, look))
     longer, shorter = (
         _mean(_ladder(lengths, steps) @ near, _ladder(lengths, steps) @ near_count)
         for steps in (_all(*LONGER), _all(*SHORTER))
@@ -278,7 +304,7 @@ def _evidence(table: Table) -> FloatArray:
     narrow peak is compared with the highest of the three spectra.
     """
     bins = table.bins / (1 + table.bins / MOST_BINS)
-    rivals = np.stack([table.aside * UNEVEN, table.longer, table.shorter])
+    rivals = np.stack([table.aside, table.longer, table.shorter])
     rivals[2] = np.where(rivals[2] > 0, rivals[2], table.level / NO_SHORTER)
     tiny = 1e-6 * np.maximum(table.level.max(axis=(1, 2), keepdims=True), 1e-30)
     each = _over(bins, np.minimum(table.level / np.maximum(rivals, tiny), MOST))
@@ -292,10 +318,14 @@ def _evidence(table: Table) -> FloatArray:
 
 
 def _peaks(
-    flat: FloatArray, valid: BoolArray, parts: list[Part], known: FloatArray | None = None
+    flat: FloatArray,
+    valid: BoolArray,
+    parts: list[Part],
+    look: FloatArray,
+    known: FloatArray | None = None,
 ) -> Iterator[list[Peak]]:
     """Find peaks of the spectra of a clip's parts of one shape, the likeliest first."""
-    table = _table(flat, valid, parts, known)
+    table = _table(flat, valid, parts, look, known)
     evidence = _evidence(table)
     lengths, directions = table.level.shape[1:]
     rows, columns = flat[parts[0]].shape
@@ -365,7 +395,7 @@ def _parts(shape: tuple[int, int]) -> list[Part]:
     return parts
 
 
-def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
+def clip_peaks(flat: FloatArray, valid: BoolArray, look: FloatArray) -> list[Peak]:
     """Find the peaks of the spectra of a clip and of its parts, those of the whole first.
 
     Parameters
@@ -373,6 +403,8 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
     flat : ndarray (rows, columns)
         Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
+    look : ndarray (2,)
+        Direction of the look in pixels: columns, rows.
     """
     shape = flat.shape[0], flat.shape[1]
     groups: dict[tuple[int, int], list[Part]] = {}
@@ -381,11 +413,16 @@ def clip_peaks(flat: FloatArray, valid: BoolArray) -> list[Peak]:
             rows, columns = (p.stop - p.start for p in part)
             groups.setdefault((rows, columns), []).append(part)
     return [
-        peak for parts in groups.values() for found in _peaks(flat, valid, parts) for peak in found
+        peak
+        for parts in groups.values()
+        for found in _peaks(flat, valid, parts, look)
+        for peak in found
     ]
 
 
-def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[Peak]:
+def other_peaks(
+    flat: FloatArray, valid: BoolArray, look: FloatArray, known: FloatArray
+) -> list[Peak]:
     """Find the peaks of a clip's spectrum beside a known wave.
 
     Two systems of waves mask each other in the comparison with other directions and wavelengths.
@@ -395,6 +432,8 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
     flat : ndarray (rows, columns)
         Amplitude over its trend, minus 1; 0 where not valid.
     valid : ndarray of bool (rows, columns)
+    look : ndarray (2,)
+        Direction of the look in pixels: columns, rows.
     known : ndarray (2,)
         Cycles per column and row.
 
@@ -406,7 +445,7 @@ def other_peaks(flat: FloatArray, valid: BoolArray, known: FloatArray) -> list[P
     whole = slice(0, flat.shape[0]), slice(0, flat.shape[1])
     if valid.mean() < MIN_VALID:
         return []
-    found = next(_peaks(flat, valid, [whole], known))
+    found = next(_peaks(flat, valid, [whole], look, known))
     return [peak for peak in found if not within_reach(peak.per_pixel, known)]
 
 
