@@ -15,9 +15,10 @@ from sasmap.errors import InputError
 from sasmap.survey.lattice import FloatArray
 from sasmap.survey.tiles import Tile
 
-# Largest scale error of a map projection, which is also that of heights and wavelengths. A UTM zone
-# and its neighbours stay below 1.3 %, Web Mercator exceeds 2 % beyond 12 degrees of latitude.
-MAX_STRETCH = 0.02
+# Scale error of a map projection, which is also that of heights and wavelengths: from which it is
+# worth a warning (a UTM zone stays below 0.1 %, as do errors of f), and the largest. A UTM zone and
+# its neighbours stay below 1.3 %, Web Mercator exceeds 2 % beyond 12 degrees of latitude.
+STRETCHED, MAX_STRETCH = 0.001, 0.02
 # Number of cells beyond which the plan alone takes minutes: 4 million of 12.5 m cover 25 km x 25
 # km.
 MAX_CELLS = 4_000_000
@@ -187,7 +188,7 @@ def check_count(grid: CellGrid, where: str) -> None:
         )
 
 
-def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
+def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> str:
     """Refuse a product CRS whose map distances are not metres on the ground.
 
     Parameters
@@ -197,6 +198,11 @@ def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
         File and key that set it, for the message.
     x, y : float
         A point of the survey in that CRS.
+
+    Returns
+    -------
+    str
+        Warning where map distances are off by more than 0.1 % there, else empty.
 
     Raises
     ------
@@ -221,3 +227,9 @@ def check_grid_crs(crs: pyproj.CRS, where: str, x: float, y: float) -> None:
         raise InputError(
             f"{where}: CRS {crs.name!r} stretches distances by {stretch:.0%} here: {advice}"
         )
+    if stretch < STRETCHED:
+        return ""
+    return (
+        f"{where}: CRS {crs.name!r} stretches distances by {stretch:.2%} here, which no interval "
+        f"includes: wavelengths and heights are off by as much; {advice}"
+    )

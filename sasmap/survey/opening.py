@@ -106,9 +106,9 @@ def open_survey(survey: Survey) -> OpenSurvey:
     found = [faults.gather(lambda s=s: _inspect_tiles(survey, s)) for s in survey.passes]  # type: ignore[misc]
     faults.raise_any()
     tiles = [part or () for part in found]
-    crs = _product_crs(survey, [tile for part in tiles for tile in part])
-    grid = lay_grid([tile for part in tiles for tile in part], crs, survey.window)
     warnings: list[str] = []
+    crs = _product_crs(survey, [tile for part in tiles for tile in part], warnings)
+    grid = lay_grid([tile for part in tiles for tile in part], crs, survey.window)
     _tell(tiles)
     tiles = [_look_into(part, warnings, faults) for part in tiles]
     area = faults.gather(lambda: _polygons(survey, "area", grid, warnings))
@@ -219,7 +219,7 @@ def check_kept(survey: Survey, inputs: Iterable[Path]) -> None:
             raise InputError(f"{path}: a product of this name would overwrite this input; move one")
 
 
-def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
+def _product_crs(survey: Survey, tiles: list[Tile], warnings: list[str]) -> str:
     if survey.crs is not None:
         where, crs = f"{survey.path}: crs", pyproj.CRS.from_user_input(survey.crs)
     else:
@@ -233,7 +233,8 @@ def _product_crs(survey: Survey, tiles: list[Tile]) -> str:
             wkt = tile.lattice.crs
             break
     x, y = tiles[0].outline_in(wkt)
-    check_grid_crs(crs, where, float(np.mean(x)), float(np.mean(y)))
+    stretched = check_grid_crs(crs, where, float(np.mean(x)), float(np.mean(y)))
+    warnings += [stretched] if stretched else []
     return wkt
 
 

@@ -53,7 +53,16 @@ def test_crs_whose_numbers_are_not_metres_on_the_ground(crs, x, y, says):
 
 
 def test_utm_is_accepted():
-    check_grid_crs(pyproj.CRS.from_user_input(UTM), "survey.yaml: crs", 500000.0, 3300000.0)
+    utm = pyproj.CRS.from_user_input(UTM)
+    assert check_grid_crs(utm, "survey.yaml: crs", 500000.0, 3300000.0) == ""
+
+
+def test_another_utm_zone_is_worth_a_warning():
+    utm = pyproj.CRS.from_user_input(UTM)
+    said = check_grid_crs(utm, "survey.yaml: crs", 1200000.0, 3300000.0)
+    assert "survey.yaml: crs" in said
+    assert "0.5" in said
+    assert "wavelengths and heights are off by as much" in said
 
 
 def test_tiles_meet_the_cells_they_overlap(tmp_path):
