@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.optimise import HEIGHT, LAW, Peak
-from sasmap.ripples.rendering import CONCENTRATION, EXPONENT, Geometry
+from sasmap.ripples.rendering import CONCENTRATION, EXPONENT, Geometry, contrast_per_slope
 
 FloatArray = NDArray[np.float64]
 
-# Least contrast per slope, and step of its derivatives with respect to the law's coordinates.
-LEAST, STEP = 1e-9, 1e-4
+# Least contrast per slope.
+LEAST = 1e-9
 
 
 class Coordinates:
@@ -61,8 +61,7 @@ class Coordinates:
         """Log of the contrast per slope, to first order."""
         exponent = EXPONENT[0] + EXPONENT[1] * z[..., LAW]
         concentration = CONCENTRATION[0] + CONCENTRATION[1] * z[..., LAW + 1]
-        off = np.arctan(self._tangent) - 0.5 * np.pi
-        each = exponent / self._tangent - 2.0 * concentration * off + self._tangent
+        each = contrast_per_slope(exponent, concentration, self._tangent)
         return np.asarray(np.log(np.maximum(each, LEAST)))
 
     def _turned(self, peak: Peak, free: NDArray[np.int64]) -> Peak:
@@ -70,10 +69,10 @@ class Coordinates:
         turn = np.eye(free.size)
         at = int(np.flatnonzero(free == HEIGHT)[0])
         here = self._per_slope(peak.z)
-        for i in (LAW, LAW + 1):
-            beside = peak.z.copy()
-            beside[i] += STEP
-            turn[at, np.flatnonzero(free == i)] = -(self._per_slope(beside) - here) / STEP
+        rises = EXPONENT[1], CONCENTRATION[1]
+        for i, law in enumerate(((rises[0], 0.0), (0.0, rises[1]))):
+            rise = contrast_per_slope(*law, self._tangent) - self._tangent
+            turn[at, np.flatnonzero(free == LAW + i)] = -rise / np.exp(here)
         z = peak.z.copy()
         z[HEIGHT] -= here
         return Peak(z, peak.level, turn @ peak.covariance @ turn.T)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sasmap.ripples.optimise import PHASE
-from sasmap.ripples.rendered import Fit, expected_at, log_change, pulses_at
+from sasmap.ripples.rendered import Fit, expected_at, log_slope, pulses_at
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
@@ -247,7 +247,7 @@ def per_cycle(fit: Fit) -> FloatArray:
     The phase of all crests is changed, as neighbouring bins may lie at different ranges.
     """
     step = 2 * np.pi / fit.data.pixel_count.shape[1]
-    return np.asarray(log_change(fit, PHASE, step) * 2 * np.pi / step)
+    return 2 * np.pi * log_slope(fit, PHASE, step)
 
 
 def _displacement(fit: Fit, slope: FloatArray, pixel_size: float) -> FloatArray:

@@ -27,7 +27,7 @@ from sasmap.ripples.optimise import (
     TREND,
     free_coordinates,
 )
-from sasmap.ripples.rendered import Fit, expected_at, log_change
+from sasmap.ripples.rendered import Fit, expected_at, log_slope
 from sasmap.ripples.rendering import (
     Geometry,
     error_gain,
@@ -91,7 +91,7 @@ def prior_sd(geometry: Geometry, which: NDArray[np.int64]) -> FloatArray:
 def with_integrated(fit: Fit, which: NDArray[np.int64]) -> Fit:
     """Give a fit's histogram some coordinates as further errors, the last ones."""
     sd = prior_sd(fit.geometry, which)
-    shapes = np.array([log_change(fit, i, STEP * s) / STEP for i, s in zip(which, sd, strict=True)])
+    shapes = np.array([s * log_slope(fit, i, STEP * s) for i, s in zip(which, sd, strict=True)])
     fitted = np.concatenate([fit.data.error_fitted, fit.z[which] / sd])
     errors = np.concatenate([fit.data.errors, shapes])
     return fit._replace(data=sharing(fit.data, errors, fitted, fit.data.error_signal))

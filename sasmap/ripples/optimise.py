@@ -16,6 +16,7 @@ from sasmap.ripples.rendering import (
     fill_residuals,
     fill_slopes,
     log_posterior,
+    log_posteriors,
     parameters_at,
 )
 
@@ -83,17 +84,14 @@ def scan(data: Histogram, geometry: Geometry) -> list[FloatArray]:
     for law, asymmetry in product(laws, asymmetries):
         z = np.zeros(COORDINATES)
         z[LAW], z[ASYMMETRY] = law, asymmetry
-        best, best_level = None, -np.inf
-        for height in slopes / (2 * np.pi * wave):
-            ripple = parameters_at(z, geometry)
-            per_slope = contrast_per_slope(ripple.exponent, ripple.concentration, tangent)
-            z[2] = np.log(height * per_slope)
-            level = log_posterior(z, data, geometry)
-            if level > best_level:
-                best, best_level = z.copy(), level
-        if best is not None:
-            found.append((best_level, best))
-    return [z for _, z in sorted(found, key=lambda f: -f[0])]
+        ripple = parameters_at(z, geometry)
+        per_slope = contrast_per_slope(ripple.exponent, ripple.concentration, tangent)
+        tried = np.tile(z, (HEIGHTS, 1))
+        tried[:, HEIGHT] = np.log(slopes / (2 * np.pi * wave) * per_slope)
+        levels = log_posteriors(tried, data, geometry)
+        found.append((float(levels.max()), tried[np.argmax(levels)]))
+    likely = sorted((f for f in found if f[0] > -np.inf), key=lambda f: -f[0])
+    return [z for _, z in likely]
 
 
 def glance(data: Histogram, geometry: Geometry) -> list[Peak]:

@@ -82,13 +82,13 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     return means, gains
 
 
-def log_change(fit: Fit, coordinate: int, step: float) -> FloatArray:
-    """Return half the change of the log expected intensity (blocks, bins) over a step both ways."""
+def log_slope(fit: Fit, coordinate: int, step: float) -> FloatArray:
+    """Return the derivative of the log expected intensity (blocks, bins) by a coordinate, over a step."""
     lower, higher = fit.z.copy(), fit.z.copy()
     lower[coordinate] -= step
     higher[coordinate] += step
     logs = [np.log(expected_at(fit, z)[0]) for z in (lower, higher)]
-    return np.asarray(0.5 * (logs[1] - logs[0]))
+    return np.asarray((logs[1] - logs[0]) / (2 * step))
 
 
 def painted(image: Image, fit: Fit, used: BoolArray, means: FloatArray) -> FloatArray:

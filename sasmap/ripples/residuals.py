@@ -10,7 +10,7 @@ from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.errors import HEIGHT_STEP, per_cycle, with_fitted_errors
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import HEIGHT
-from sasmap.ripples.rendered import Fit, expected_at, log_change, painted, spread_bins
+from sasmap.ripples.rendered import Fit, expected_at, log_slope, painted, spread_bins
 from sasmap.ripples.rendering import HEIGHT_TREND, Histogram
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +51,7 @@ def spread_of_heights(image: Image, fit: Fit, whole: Histogram, used: BoolArray)
     over range that the likelihood allows for. Where single waves differ, squares hold parts of two
     of them and crests are oblique, so that heights differ by 2 to 3 times as much.
     """
-    slope = log_change(fit, HEIGHT, HEIGHT_STEP) / HEIGHT_STEP
+    slope = log_slope(fit, HEIGHT, HEIGHT_STEP)
     weight = _weight(fit, whole)
     size = 1 / float(np.hypot(*image.per_pixel(fit.phase.wave)))
     row, column = ((place[used] / size).astype(int) for place in np.indices(image.shape))
