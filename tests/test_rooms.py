@@ -10,7 +10,7 @@ import pytest
 import sasmap
 
 PACKAGE = Path(sasmap.__file__).parent
-BASE = {"errors", "version", "catalogue"}
+BASE = {"arrays", "errors", "version", "catalogue"}
 # A room may import the rooms below it that are listed, itself and the base.
 MAY = {
     "numerics": set(),

@@ -12,9 +12,8 @@ import pyogrio
 import shapely
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.io.files import written_whole
-
-FloatArray = NDArray[np.float64]
 
 # The date that GDAL would write is fixed, so that the bytes depend on the features alone.
 DATE = "2000-01-01T00:00:00.000Z"

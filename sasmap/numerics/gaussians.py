@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray
 
 
 class Mixture(NamedTuple):

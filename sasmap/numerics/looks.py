@@ -8,10 +8,10 @@ the wave number of a ripple, for fits to the ripple.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import BoolArray, FloatArray
 
 # Bounds of the noise factor: two looks averaged give 0.5; no recorded texture came near the upper.
 NOISE_BOUNDS = (0.5, 50.0)
@@ -135,7 +135,7 @@ def point_spread(ratio: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.linalg.inv(np.array([[column, cross], [cross, row]])))
 
 
-def _correlation(flat: FloatArray, used: NDArray[np.bool_], column: int, row: int) -> float:
+def _correlation(flat: FloatArray, used: BoolArray, column: int, row: int) -> float:
     """Correlation of used pixels of mean 0 with those `column` and `row` (of any sign) farther."""
     rows, columns = flat.shape
     here = slice(max(-row, 0), rows - max(row, 0)), slice(0, columns - column)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.passes.evidence import with_prior
 from sasmap.passes.heights import at_height, with_scatter, without_scatter
 from sasmap.passes.information import Information, moments
 from sasmap.passes.looks import LAW, LOG_HEIGHT, Looks, law_factor, steepness_factor
 from sasmap.passes.shared import SurveyModel
-
-FloatArray = NDArray[np.float64]
 
 # Squared Mahalanobis distance (chi-squared with 3 degrees of freedom) beyond which two looks
 # contradict each other: exceeded by one consistent pair in two thousand.
@@ -77,9 +75,9 @@ def distances_of(
 def _apart(
     factor: Information,
     prior: Information,
-    heavy: NDArray[np.bool_],
-    a: NDArray[np.int64],
-    b: NDArray[np.int64],
+    heavy: BoolArray,
+    a: IntArray,
+    b: IntArray,
 ) -> FloatArray:
     """Squared distance of pairs of looks (pairs,), given a common law."""
     both = [Information(*(v[rows] for v in factor)) for rows in (a, b)]

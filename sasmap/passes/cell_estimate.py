@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from sasmap.arrays import FloatArray
 from sasmap.passes.derived import UNKNOWN as UNDERIVED
 from sasmap.passes.derived import Derived
+from sasmap.passes.mixture import Marginal, marginals, weighted
 from sasmap.passes.summary import NAN, Summary
-from sasmap.ripples.mixture import Marginal, marginals, weighted
 from sasmap.ripples.settings import RippleSettings
-
-FloatArray = NDArray[np.float64]
 
 # Least probability of the heights that a cell's looks allow (a choice: looks that agree leave more
 # than half).

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.passes.evidence import MOST_KEPT, with_prior
 from sasmap.passes.heights import of_look, raised, to_height, told_by
 from sasmap.passes.information import (
@@ -27,10 +27,8 @@ from sasmap.passes.information import (
     workspace,
 )
 from sasmap.passes.looks import LOG_HEIGHT, NONE, Looks, law_factor, steepness_factor
+from sasmap.passes.mixture import weighted
 from sasmap.passes.shared import SurveyModel
-from sasmap.ripples.mixture import weighted
-
-FloatArray = NDArray[np.float64]
 
 # Least weight of the components of a cell's estimate, times the number of draws.
 NEGLIGIBLE = 1e-4

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from sasmap.arrays import FloatArray
 from sasmap.passes.heights import with_scatter, without_scatter
 from sasmap.passes.information import Information, products
 from sasmap.passes.looks import (
@@ -19,8 +19,6 @@ from sasmap.passes.looks import (
     evidence_of_law,
     law_factor,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Largest spread over the prior standard deviation of the law.
 MOST_SPREAD = 0.95

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import IntArray
 from sasmap.passes.agreement import agreeing, distances_of, together
 from sasmap.passes.cell_estimate import FLAT, UNKNOWN, CellEstimate, estimates, of_summary
 from sasmap.passes.combination import after_each, reach_after_each
@@ -202,7 +202,7 @@ def _fused(
     cells: Sequence[Sequence[Summary | None]],
     settings: RippleSettings,
     survey: SurveyModel,
-    sediment: NDArray[np.int64] | None,
+    sediment: IntArray | None,
 ) -> list[FusedCell]:
     looks = collect(cells, sediment)
     if looks is None:

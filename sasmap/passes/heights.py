@@ -10,13 +10,11 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.passes.information import Information, widened
 from sasmap.passes.looks import NONE, Looks, Shared
 from sasmap.passes.summary import LEAST_CONTRAST
-
-FloatArray = NDArray[np.float64]
 
 
 class Told(NamedTuple):

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray, IntArray
 
 # Negative log of the weight, relative to the heaviest, below which a component of a product of
 # looks is dropped: looks that agree do not differ by as much, so that it stays negligible.
@@ -79,9 +78,7 @@ def moments(factor: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
     return level, mean, covariance
 
 
-def products(
-    factor: Information, ends: NDArray[np.int64], prior: Information, most: int
-) -> FloatArray:
+def products(factor: Information, ends: IntArray, prior: Information, most: int) -> FloatArray:
     """Log integrals of the products of groups of mixtures and of a prior.
 
     Parameters

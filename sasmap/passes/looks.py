@@ -18,15 +18,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.passes.information import Information
 from sasmap.passes.summary import Summary, contrast_slopes, log_contrast
 from sasmap.ripples.posterior import Quality
 from sasmap.ripples.priors import NATURAL_STEEPNESS
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT
-
-FloatArray = NDArray[np.float64]
 
 # Sampling prior of the law: mean and variance of n and c.
 LAW_MEAN = np.array([EXPONENT[0], CONCENTRATION[0]])
@@ -121,9 +119,9 @@ class Looks(NamedTuple):
         Accuracy of the navigation's altitude, m.
     """
 
-    cell: NDArray[np.int64]
-    swath: NDArray[np.int64]
-    sediment: NDArray[np.int64]
+    cell: IntArray
+    swath: IntArray
+    sediment: IntArray
     factor: Information
     reach: FloatArray
     law: LawLikelihood | None
@@ -137,7 +135,7 @@ class Looks(NamedTuple):
         """Whether the law is part of the looks' posteriors."""
         return self.law is not None
 
-    def some(self, which: NDArray[np.int64]) -> Looks:
+    def some(self, which: IntArray) -> Looks:
         """Select looks."""
         factor = Information(*(values[which] for values in self.factor))
         law = None if self.law is None else LawLikelihood(*(v[which] for v in self.law))
@@ -147,7 +145,7 @@ class Looks(NamedTuple):
 
 def collect(
     cells: Sequence[Sequence[Summary | None]],
-    sediments: NDArray[np.int64] | None = None,
+    sediments: IntArray | None = None,
 ) -> Looks | None:
     """Collect the good looks at cells as arrays.
 
@@ -208,7 +206,7 @@ def collect(
     )
 
 
-def _turn_to_one_axis(cell: NDArray[np.int64], weight: FloatArray, mean: FloatArray) -> None:
+def _turn_to_one_axis(cell: IntArray, weight: FloatArray, mean: FloatArray) -> None:
     """Turn azimuths, which are axial, in place to within 90 degrees of their cell's mean."""
     twice = np.radians(2 * (weight * mean[:, :, AZIMUTH]).sum(axis=1))
     sines, cosines = (np.bincount(cell, v) for v in (np.sin(twice), np.cos(twice)))

@@ -10,10 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sasmap.arrays import FloatArray, IntArray
 
 # Prior standard deviation of registration, m (differential GPS); range of the search, in units of
 # it; step of the search over the shortest wavelength.

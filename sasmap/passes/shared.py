@@ -21,10 +21,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.passes.evidence import MOST_SPREAD, SCATTER, SHARE_LOGIT, CellEvidence
 from sasmap.passes.looks import (
     LAW_MEAN,
@@ -40,8 +40,6 @@ from sasmap.ripples.sampler import (
     mixture_of_peaks,
     population,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Prior of the log spread of the law (n, c) from look to look: mean and standard deviation.
 # Sediments of one survey differ by a few tenths of n (Jackson and Richardson 2007, chapter 12).
@@ -168,7 +166,7 @@ class SurveyModel(NamedTuple):
         return quantiles_of(self.values, shares)
 
 
-def numbered(classes: Sequence[int] | None, sediments: tuple[int, ...]) -> NDArray[np.int64] | None:
+def numbered(classes: Sequence[int] | None, sediments: tuple[int, ...]) -> IntArray | None:
     """Return the number of each cell's sediment among those with a law, from 1; 0 for others.
 
     Parameters
@@ -380,9 +378,7 @@ def _peaks(layout: _Layout, log_density: LogDensity) -> list[tuple[FloatArray, F
     return [(place, covariance, level - best) for place, covariance, level in peaks]
 
 
-def _model(
-    points: FloatArray, layout: _Layout, looks: Looks | None, rank: NDArray[np.int64]
-) -> SurveyModel:
+def _model(points: FloatArray, layout: _Layout, looks: Looks | None, rank: IntArray) -> SurveyModel:
     """Choose draws that represent the posterior, evenly over the contrast that A_H depends on."""
     draws = [layout.populations(p) for p in points]
     key = points[:, 0]
@@ -422,7 +418,7 @@ def _told_apart(draws: Sequence[Populations], tangent: float) -> bool:
     return apart >= SURE * len(draws)
 
 
-def _in_order(looks: Looks, swaths: int) -> tuple[Looks, NDArray[np.int64]]:
+def _in_order(looks: Looks, swaths: int) -> tuple[Looks, IntArray]:
     """Sort swaths by their data, so that their order in the survey file does not matter.
 
     Returns the looks by cell and swath, and the new number of each swath.

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.numerics.gaussians import Mixture
 from sasmap.passes.derived import UNKNOWN, Derived, derived_of_draws
+from sasmap.passes.mixture import fit_mixture
 from sasmap.ripples.diagnostics import ess_bulk
-from sasmap.ripples.mixture import fit_mixture
 from sasmap.ripples.posterior import JUDGED, LeftOut, Posterior, Quality, axial
 
 NAN = float("nan")
 LAW = ("exponent", "concentration", "peakedness", "asymmetry")
 Numbers = tuple[float, ...]
-FloatArray = NDArray[np.float64]
 # Floor of the contrast per slope: any law that grows with grazing angle has more.
 LEAST_CONTRAST = 0.05
 # Prior of the change of log A_H with log altitude, mean and standard deviation: 0.5 to 0.92 in

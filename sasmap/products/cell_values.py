@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import CATALOGUE, Product
 from sasmap.passes.cell_estimate import CellEstimate
 from sasmap.passes.fusion import FusedCell
@@ -137,7 +137,7 @@ def cell_products() -> dict[str, Product]:
 
 def raster(
     file: str, results: Mapping[tuple[int, int], CellResult], bands: int, shape: tuple[int, int]
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Arrange a product's values on the grid.
 
     Parameters

@@ -9,14 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 from affine import Affine
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, label
 from skimage.measure import find_contours
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.io.geopackage import write_layer
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 LAYER = "extent"
 # Smoothed weight of the observed places above which an unobserved place takes the value of its

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.passes.shared import SurveyModel, quantiles_of
 from sasmap.products.figures import Picture, encoded
-
-FloatArray = NDArray[np.float64]
 
 # Laws drawn beside the estimated one: exponent n, concentration c, and the line style.
 OTHERS = {"Lambert": (2.0, 0.0, "--"), "Zare and Cobb": (0.0, 3 / np.pi, ":")}

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import BY_FILE
 from sasmap.products.colours import Colour
 from sasmap.products.figures import Picture, encoded, map_frame, read_thinned
@@ -112,7 +113,7 @@ def codes_of(path: Path, names: Codes, caption: str) -> Picture:
     return Picture(encoded(figure), caption)
 
 
-def _painted(values: NDArray[Any], names: Codes, opacity: float) -> NDArray[np.float64]:
+def _painted(values: NDArray[Any], names: Codes, opacity: float) -> FloatArray:
     palette = np.zeros((256, 4))
     for value, (_, colour) in names.items():
         palette[value] = (*(np.array(colour) / 255), opacity)

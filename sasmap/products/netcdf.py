@@ -12,8 +12,8 @@ import numpy as np
 import pyproj
 import xarray as xr
 from affine import Affine
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import Band
 from sasmap.io.files import written_whole
 from sasmap.passes.shared import SurveyModel
@@ -155,7 +155,7 @@ def _shared(survey: SurveyModel | None) -> dict[str, Any]:
     if survey is None or not survey.values:
         return {}
 
-    def summed(values: Any) -> NDArray[np.float64]:
+    def summed(values: Any) -> FloatArray:
         drawn = np.array(values, float)
         ends = np.quantile(drawn, (0.05, 0.95), axis=0)
         return np.stack([drawn.mean(axis=0), drawn.std(axis=0), *ends])
@@ -180,7 +180,7 @@ def _shared(survey: SurveyModel | None) -> dict[str, Any]:
     return variables
 
 
-def _sediments(survey: SurveyModel, summed: Callable[[Any], NDArray[np.float64]]) -> dict[str, Any]:
+def _sediments(survey: SurveyModel, summed: Callable[[Any], FloatArray]) -> dict[str, Any]:
     """Collect the laws (statistic, sediment) that the survey separates."""
     mapped = "laws of mapped classes" if survey.sediments else "laws told apart, not mapped classes"
     described = {
@@ -289,7 +289,7 @@ def _statistic(source: Any, name: str, i: int, cell: tuple[int, int], k: int) ->
     return float(getattr(source(cell, k), name)[i])
 
 
-def _values(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+def _values(cells: Cells, shape: tuple[int, ...], value: Any) -> FloatArray:
     """Fill a field with a value of each cell and look that shows it."""
     field = np.full(shape, np.nan)
     for cell, summaries in cells.items():
@@ -324,11 +324,11 @@ def _look_fields(cells: Cells, shape: tuple[int, ...]) -> dict[str, Any]:
     return variables
 
 
-def _field(cells: Cells, shape: tuple[int, ...], value: Any) -> NDArray[np.float64]:
+def _field(cells: Cells, shape: tuple[int, ...], value: Any) -> FloatArray:
     return _values(cells, shape, lambda cell, k: value(cells[cell][k]))
 
 
-def _centres(origin: float, step: float, n: int) -> NDArray[np.float64]:
+def _centres(origin: float, step: float, n: int) -> FloatArray:
     return np.asarray(origin + step * (np.arange(n) + 0.5), np.float64)
 
 

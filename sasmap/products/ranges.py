@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import BY_FILE
-
-FloatArray = NDArray[np.float64]
 
 # Minimum half-width of the range in standard deviations of the values, so that noise is not
 # stretched over the whole ramp: 95 % of a Gaussian.

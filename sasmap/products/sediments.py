@@ -17,6 +17,7 @@ from rasterio.windows import Window
 from shapely.affinity import translate
 from shapely.geometry import shape
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.io.geopackage import Area, Feature, write_areas, write_boundaries
 from sasmap.io.rasters import Category, Layer, float_layer, write_large_cog
 from sasmap.products.colours import class_colour
@@ -172,10 +173,10 @@ def _outlined(label: Any, rippled: Any, count: int, scratch: Path) -> list[tuple
 
 def _sums(
     outlines: Sequence[Any],
-    here: NDArray[np.int64],
+    here: IntArray,
     top: int,
     confidence: NDArray[np.floating],
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Sum pixels and their confidence over each area (2, areas) in a stripe."""
     total = np.zeros((2, len(outlines)))
     if here.size:

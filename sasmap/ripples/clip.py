@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import BoolArray, FloatArray
 
 # Intensity added to every pixel, over the clip's mean: no sonar image extends to more than 25 dB
 # below its sea floor, and exact zeros (quantised or simulated shadow) would otherwise count as
@@ -53,7 +52,7 @@ class Clip:
     altitude_sd: float = ALTITUDE_SD
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> BoolArray:
         """Pixels with an amplitude and a known geometry."""
         known = np.isfinite(self.amplitude) & np.isfinite(self.look_azimuth)
         return known & (self.ground_range > 0) & (self.altitude > 0)
@@ -113,7 +112,7 @@ def mean_look(clip: Clip) -> float:
     return float(np.degrees(np.arctan2(np.sin(azimuth).mean(), np.cos(azimuth).mean())) % 360)
 
 
-def normalised(clip: Clip, valid: NDArray[np.bool_]) -> tuple[FloatArray, float]:
+def normalised(clip: Clip, valid: BoolArray) -> tuple[FloatArray, float]:
     """Intensity of the valid pixels over its mean, and the root of that mean.
 
     Amplitudes are first divided by the largest one, whose square may overflow. Pixels brighter than

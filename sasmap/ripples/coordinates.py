@@ -9,12 +9,10 @@ both.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.ripples.optimise import HEIGHT, LAW, Peak
 from sasmap.ripples.rendering import CONCENTRATION, EXPONENT, Geometry, contrast_per_slope
-
-FloatArray = NDArray[np.float64]
 
 # Least contrast per slope.
 LEAST = 1e-9
@@ -32,7 +30,7 @@ class Coordinates:
         Indices of the coordinates that are sampled.
     """
 
-    def __init__(self, peaks: list[Peak], geometry: Geometry, free: NDArray[np.int64]) -> None:
+    def __init__(self, peaks: list[Peak], geometry: Geometry, free: IntArray) -> None:
         self._tangent = geometry.altitude_middle / geometry.range_middle
         self.by_height = False
         self.peaks = peaks
@@ -64,7 +62,7 @@ class Coordinates:
         each = contrast_per_slope(exponent, concentration, self._tangent)
         return np.asarray(np.log(np.maximum(each, LEAST)))
 
-    def _turned(self, peak: Peak, free: NDArray[np.int64]) -> Peak:
+    def _turned(self, peak: Peak, free: IntArray) -> Peak:
         """Transform a peak from log contrast to log A_H."""
         turn = np.eye(free.size)
         at = int(np.flatnonzero(free == HEIGHT)[0])

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
 from scipy.ndimage import binary_closing, binary_erosion, fourier_gaussian
 
+from sasmap.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import box_sums
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 # Boxes per wavelength, and most boxes along a side of the clip.
 BOXES = 6
@@ -329,7 +326,7 @@ def angles_from_vertical(image: Image, size: int) -> FloatArray:
     return np.asarray(np.maximum(np.arctan2(reach, np.maximum(altitude, 1e-9)), STEEP))
 
 
-def windings(field: NDArray[np.complex128]) -> NDArray[np.int64]:
+def windings(field: ComplexArray) -> IntArray:
     """Compute the winding number of a field's phase around each group of four neighbours.
 
     Parameters

@@ -12,10 +12,10 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import fft2
 from scipy.special import expit
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.ripples.flattening import flattened
 from sasmap.ripples.fringes import follows_grazing
 from sasmap.ripples.image import Image
@@ -37,8 +37,6 @@ from sasmap.ripples.spectra import (
     taper,
     within_reach,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Most peaks that are examined, to bound the time.
 CANDIDATES = 6
@@ -291,7 +289,7 @@ def _wave(image: Image, flat: FloatArray, peak: Peak, beside: bool = False) -> W
 def _rivals(
     image: Image,
     flat: FloatArray,
-    places: tuple[FloatArray, NDArray[np.bool_]],
+    places: tuple[FloatArray, BoolArray],
     peak: Peak,
     whole: bool,
     beside: bool,

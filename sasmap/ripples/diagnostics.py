@@ -6,12 +6,11 @@ Vehtari, Gelman, Simpson, Carpenter, Buerkner 2021, Bayesian Analysis 16, arXiv 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray
 
 
 def rhat(draws: FloatArray) -> float:

@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples.optimise import PHASE
 from sasmap.ripples.rendered import Fit, expected_at, log_slope, pulses_at
 from sasmap.ripples.rendering import (
@@ -19,8 +19,6 @@ from sasmap.ripples.rendering import (
     parameters_at,
     pulses_of,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Errors of the model: least relative error of the expected intensity that is shared by the pixels
 # of a cell (a group of range and one of ERROR_CELLS parts of phase), with straight crests and where

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.coordinates import Coordinates
 from sasmap.ripples.detection import MIN_ALONG, Unclear, Wave, find_waves
@@ -51,8 +51,6 @@ from sasmap.ripples.ridge import along_ridges
 from sasmap.ripples.sampler import mixture_of_peaks, sample
 from sasmap.ripples.settings import RippleSettings
 from sasmap.ripples.spectra import compared
-
-FloatArray = NDArray[np.float64]
 
 MIN_PIXELS = 400
 # Largest noise factor that correlated speckle explains, and error of log A_H for each factor of e

@@ -12,10 +12,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import grey_closing, grey_opening, label
 from scipy.special import ndtr
 
+from sasmap.arrays import ComplexArray, FloatArray
 from sasmap.ripples.demodulation import (
     SURE,
     BoxSums,
@@ -26,8 +26,6 @@ from sasmap.ripples.demodulation import (
 )
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import spread_boxes
-
-FloatArray = NDArray[np.float64]
 
 # Standard deviations, in wavelengths, of the Gaussians that smooth the amplitude; the smallest is
 # used at which the error from speckle is below SURE times the ripples' amplitude.
@@ -113,7 +111,7 @@ def _without_specks(probability: FloatArray, wavelength: float) -> FloatArray:
 
 def _local(
     image: Image, boxes: BoxSums, given: float | None
-) -> tuple[NDArray[np.complex128], FloatArray, float]:
+) -> tuple[ComplexArray, FloatArray, float]:
     """Smoothed complex amplitude of boxes, probability of ripples, and the ripples' amplitude."""
     filled = boxes.count > 0
     angle = angles_from_vertical(image, boxes.size)

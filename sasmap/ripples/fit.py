@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.numerics.looks import noise_factor, point_spread
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.demodulation import (
@@ -58,9 +58,6 @@ from sasmap.ripples.rendering import (
 )
 from sasmap.ripples.residuals import across_look, spread_of_heights
 from sasmap.ripples.settings import RippleSettings, scattering_law
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Variance of the blur by a sonar's point spread function before it is measured, squared pixels, and
 # its least: that of a pixel's own width.

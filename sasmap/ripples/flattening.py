@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.ripples.image import Image
-
-FloatArray = NDArray[np.float64]
 
 # Amplitudes are clipped at this multiple of their trend (Rayleigh speckle exceeds it in 1e-4 of
 # pixels).
@@ -39,7 +37,7 @@ def _trend(total: FloatArray, count: FloatArray, shape: tuple[int, int]) -> Floa
     return factors
 
 
-def _edges(count: int) -> NDArray[np.int64]:
+def _edges(count: int) -> IntArray:
     """Edges of the blocks along a side."""
     return np.linspace(0, count, min(BLOCKS, count) + 1).astype(np.int64)
 
@@ -76,13 +74,13 @@ def flattened(image: Image) -> tuple[FloatArray, FloatArray]:
     return np.where(image.valid, level - level[image.valid].mean(), 0.0), gains
 
 
-def _in_blocks(values: FloatArray, edges: list[NDArray[np.int64]]) -> FloatArray:
+def _in_blocks(values: FloatArray, edges: list[IntArray]) -> FloatArray:
     """Sum values (rows, columns) over blocks between edges."""
     rows = np.add.reduceat(values, edges[0][:-1], axis=0)
     return np.asarray(np.add.reduceat(rows, edges[1][:-1], axis=1))
 
 
-def _pings(image: Image) -> NDArray[np.int64]:
+def _pings(image: Image) -> IntArray:
     """Return the number of each pixel's ping (rows, columns), from 0; a ping is a pixel wide."""
     across = image.beside @ image.steps / image.pixel_size
     row, column = np.ogrid[: image.shape[0], : image.shape[1]]

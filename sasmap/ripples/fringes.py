@@ -8,12 +8,9 @@ are evenly spaced in range. Over a clip from 30 to 45 m the spacing of bands dou
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.ripples.image import Image
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Largest angle between the normal of bands and the look, degrees: bands run along the track, and
 # the direction of four waves is known to within a degree or two.

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.image import Image
 from sasmap.ripples.phase import PhaseField
 from sasmap.ripples.pixels import spread_boxes, sum_pixels
 from sasmap.ripples.rendering import Histogram
-
-FloatArray = NDArray[np.float64]
 
 # Length of the blocks of range: least, m, and over range. At 4 m the slope of the ray changes by a
 # quarter over a metre, and rendering a pulse every quarter of a metre changed A_H by 2 %.
@@ -99,7 +97,7 @@ def histogram(
     )
 
 
-def _groups(reach: FloatArray, length: float) -> NDArray[np.int64]:
+def _groups(reach: FloatArray, length: float) -> IntArray:
     """Return the groups of blocks that share a gain, each at least `length` long, m."""
     group, begin = np.zeros(len(reach), np.int64), reach[0]
     for b in range(1, len(reach)):

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.ripples.clip import Clip, mean_look, normalised
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Largest deviation of pixels from a straight lattice, in pixels, above which they are averaged onto
 # a regular one.
@@ -230,9 +227,7 @@ def on_clip(clip: Clip, image: Image, values: FloatArray) -> FloatArray:
     return result
 
 
-def _places(
-    x: FloatArray, y: FloatArray, size: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _places(x: FloatArray, y: FloatArray, size: float) -> tuple[IntArray, IntArray]:
     """Rows and columns of a north-up lattice around map positions."""
     column = np.rint((x - x.min()) / size).astype(np.int64)
     row = np.rint((y.max() - y) / size).astype(np.int64)

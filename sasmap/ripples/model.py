@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, uniform_filter
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.demodulation import RIM, closed
-from sasmap.ripples.image import BoolArray, Image
+from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import paint_pixels, spread_boxes
 from sasmap.ripples.rendered import Fit, expected_at
-
-FloatArray = NDArray[np.float64]
 
 # Number of draws that are averaged.
 DRAWS = 40

@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.ripples.errors import fitted_amplitudes, sharing
 from sasmap.ripples.optimise import (
     ALTITUDE,
@@ -35,8 +35,6 @@ from sasmap.ripples.rendering import (
     log_priors,
 )
 
-FloatArray = NDArray[np.float64]
-
 # Error of the altitude over the altitude below which it is integrated out: of 40 coherent cells at
 # altitudes of 3 to 10 m, with errors of 0.1 m A_H has intervals as wide as if it were sampled, with
 # 0.25 and 0.5 m two and three cells with shadow have intervals of 0.2 to 0.7 of that width.
@@ -52,7 +50,7 @@ TRIALS = 8
 SOME = 100
 
 
-def integrated_coordinates(fit: Fit) -> NDArray[np.int64]:
+def integrated_coordinates(fit: Fit) -> IntArray:
     """Return the indices of the coordinates to integrate out.
 
     An altitude that is not known well moves the edges of shadow by more than is linear; so do some
@@ -81,14 +79,14 @@ def _gaussian(fit: Fit, which: tuple[int, ...]) -> bool:
     return True
 
 
-def prior_sd(geometry: Geometry, which: NDArray[np.int64]) -> FloatArray:
+def prior_sd(geometry: Geometry, which: IntArray) -> FloatArray:
     """Return the prior standard deviation of some coordinates."""
     sd = np.ones(COORDINATES)
     sd[[OFFSET, PHASE]] = geometry.wave_sd, geometry.phase_sd
     return np.asarray(sd[which])
 
 
-def with_integrated(fit: Fit, which: NDArray[np.int64]) -> Fit:
+def with_integrated(fit: Fit, which: IntArray) -> Fit:
     """Give a fit's histogram some coordinates as further errors, the last ones."""
     sd = prior_sd(fit.geometry, which)
     shapes = np.array([s * log_slope(fit, i, STEP * s) for i, s in zip(which, sd, strict=True)])
@@ -98,7 +96,7 @@ def with_integrated(fit: Fit, which: NDArray[np.int64]) -> Fit:
 
 
 def with_drawn(
-    points: FloatArray, fit: Fit, which: NDArray[np.int64], rng: np.random.Generator
+    points: FloatArray, fit: Fit, which: IntArray, rng: np.random.Generator
 ) -> FloatArray:
     """Draw the integrated coordinates given draws of the others.
 
@@ -142,7 +140,7 @@ def with_drawn(
 
 
 def learned(
-    points: FloatArray, values: Callable[[FloatArray], FloatArray], used: NDArray[np.int64]
+    points: FloatArray, values: Callable[[FloatArray], FloatArray], used: IntArray
 ) -> FloatArray:
     """Evaluate at all draws a function that is nearly linear in some coordinates.
 

@@ -6,8 +6,8 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.ripples.rendering import (
     Geometry,
     Histogram,
@@ -19,8 +19,6 @@ from sasmap.ripples.rendering import (
     log_posteriors,
     parameters_at,
 )
-
-FloatArray = NDArray[np.float64]
 
 COORDINATES = 14
 OFFSET, PHASE, HEIGHT, LAW, ASYMMETRY, NOISE_SLOPE, BLUR, ALTITUDE = 0, 1, 2, 3, 6, 8, 9, 10
@@ -61,14 +59,14 @@ class Peak(NamedTuple):
     covariance: FloatArray
 
 
-def free_coordinates(geometry: Geometry) -> NDArray[np.int64]:
+def free_coordinates(geometry: Geometry) -> IntArray:
     """Return the indices of the coordinates that are estimated, not fixed by the settings."""
     fixed = LAW + np.flatnonzero(np.isfinite(geometry.fixed))
     held = [*fixed, *TREND] if geometry.published else fixed
     return np.setdiff1d(np.arange(COORDINATES), held)
 
 
-def searched_coordinates(geometry: Geometry) -> NDArray[np.int64]:
+def searched_coordinates(geometry: Geometry) -> IntArray:
     """Return the indices of those in which the first climbs are made: the rest change little."""
     return np.setdiff1d(free_coordinates(geometry), [NOISE_SLOPE, BLUR, ALTITUDE, *TREND])
 
@@ -120,7 +118,7 @@ def fisher_scoring(
     data: Histogram,
     geometry: Geometry,
     rounds: int = ROUNDS,
-    free: NDArray[np.int64] | None = None,
+    free: IntArray | None = None,
 ) -> Peak:
     """Climb to the nearest maximum of the posterior by damped Fisher scoring.
 
@@ -232,7 +230,7 @@ def distinct(peaks: list[Peak], most: int) -> list[Peak]:
 
 
 def slope_at(
-    z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
+    z: FloatArray, data: Histogram, geometry: Geometry, free: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log posterior and its expected information, over the free coordinates."""
     means = np.empty(data.pixel_count.shape)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, ifft2, next_fast_len
 
+from sasmap.arrays import BoolArray, ComplexArray, FloatArray
 from sasmap.ripples.demodulation import (
     BoxSums,
     covered_boxes,
@@ -24,10 +25,6 @@ from sasmap.ripples.demodulation import (
 )
 from sasmap.ripples.image import Image
 from sasmap.ripples.pixels import spread_boxes
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 # Standard deviations, in wavelengths, of the Gaussians that smooth the phase.
 STIFFNESS = (0.5, 0.65, 1.0, 1.5, 2.2, 3.3, 5.0)

@@ -6,10 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples.rendering import FAST
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)

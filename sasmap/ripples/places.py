@@ -9,13 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, ComplexArray, FloatArray
 from sasmap.ripples.pixels import box_sums, wave_boxes
 from sasmap.ripples.spectra import taper
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Narrowest strip along the crest normal, over the clip's longer side (a choice).
 STRIP = 1 / 16
@@ -106,7 +103,7 @@ def extents(flat: FloatArray, valid: BoolArray, per_pixel: FloatArray) -> Extent
     return Extents(_participation(energy, 0), _participation(energy, 1) * wide, float(room), step)
 
 
-def _step(mean: NDArray[np.complex128], speckle: FloatArray) -> float:
+def _step(mean: ComplexArray, speckle: FloatArray) -> float:
     """Correlation of a wave between neighbouring rows of boxes.
 
     Parameters

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples import diagnostics
 from sasmap.ripples.priors import Prior
-
-FloatArray = NDArray[np.float64]
 
 MAX_RHAT = 1.01
 MIN_ESS = 400.0

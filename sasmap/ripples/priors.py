@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sasmap.arrays import FloatArray
 
 # Crest to trough over wavelength of natural ripples: 0.03 to 0.2, typically about 0.1 (vortex
 # ripples 0.1 to 0.2, worn ones less). Median and standard deviation of the log.
@@ -40,7 +41,7 @@ class Prior:
         middle = (sum(frequency) / 2, sum(height) / 2)
         return cls(middle, (np.inf, np.inf), (frequency, height), NATURAL_STEEPNESS)
 
-    def weigh_frequency(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    def weigh_frequency(self, draws: FloatArray) -> FloatArray:
         """Transform draws of f under a flat prior to draws under this one (ZC 8).
 
         The image constrains f through the phase of its crests, with a nearly Gaussian likelihood

@@ -11,13 +11,11 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples.clip import Clip, mean_look
 from sasmap.ripples.priors import Prior
-
-FloatArray = NDArray[np.float64]
 
 # Variance of the Gaussian scattering cross section, rad^2 (ZC 3.2.3).
 SIGMA_VARIANCE = np.pi / 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import Peak
 from sasmap.ripples.phase import PhaseField
@@ -18,9 +18,6 @@ from sasmap.ripples.rendering import (
     parameters_at,
     pulses_of,
 )
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 class Fit(NamedTuple):
@@ -83,7 +80,7 @@ def expected_at(fit: Fit, z: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def log_slope(fit: Fit, coordinate: int, step: float) -> FloatArray:
-    """Return the derivative of the log expected intensity (blocks, bins) by a coordinate, over a step."""
+    """Return the derivative of the log expected intensity (blocks, bins) by a coordinate."""
     lower, higher = fit.z.copy(), fit.z.copy()
     lower[coordinate] -= step
     higher[coordinate] += step

@@ -25,9 +25,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray, IntArray
 
 # Facets per bin: with 1.5 the bins alias by 10 % in A_H, with 4 they do not.
 FACETS = 3
@@ -164,7 +163,7 @@ class Histogram(NamedTuple):
     ground_range: FloatArray
     altitude: FloatArray
     trend: FloatArray
-    group: NDArray[np.int64]
+    group: IntArray
     errors: FloatArray
     error_axes: FloatArray
     error_information: FloatArray

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.ripples.clip import DYNAMIC_RANGE
 from sasmap.ripples.errors import HEIGHT_STEP, per_cycle, with_fitted_errors
 from sasmap.ripples.image import Image
 from sasmap.ripples.optimise import HEIGHT
 from sasmap.ripples.rendered import Fit, expected_at, log_slope, painted, spread_bins
 from sasmap.ripples.rendering import HEIGHT_TREND, Histogram
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Least pixels of a square of one wavelength over those of a full one, for it to be used (a choice).
 COVERED = 0.3

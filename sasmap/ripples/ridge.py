@@ -10,8 +10,8 @@ their mixture is the initial proposal of the sampler.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.ripples.optimise import (
     LAW,
     Peak,
@@ -20,8 +20,6 @@ from sasmap.ripples.optimise import (
     slope_at,
 )
 from sasmap.ripples.rendering import Geometry, Histogram, log_posterior
-
-FloatArray = NDArray[np.float64]
 
 # Difference of log posterior below the best peak at which another peak is negligible.
 NEGLIGIBLE = 15.0
@@ -39,9 +37,7 @@ OVERLAP, WIDEST = 0.7, 1.5
 class _Place:
     """A place on the ridge: the peak at an exponent, and a Gaussian about it."""
 
-    def __init__(
-        self, z: FloatArray, data: Histogram, geometry: Geometry, free: NDArray[np.int64]
-    ) -> None:
+    def __init__(self, z: FloatArray, data: Histogram, geometry: Geometry, free: IntArray) -> None:
         other = free != LAW
         peak = fisher_scoring(z, data, geometry, ROUNDS, free[other])
         self.z = peak.z
@@ -55,7 +51,7 @@ class _Place:
         inner = self.given[np.ix_(other, other)]
         self.mass = peak.level + 0.5 * float(np.linalg.slogdet(2 * np.pi * inner)[1])
 
-    def beside(self, step: float, free: NDArray[np.int64]) -> FloatArray:
+    def beside(self, step: float, free: IntArray) -> FloatArray:
         """Return the coordinates one step along the tangent."""
         z = self.z.copy()
         z[free] += step * self.tangent
@@ -63,7 +59,7 @@ class _Place:
 
 
 def along_ridges(
-    peaks: list[Peak], data: Histogram, geometry: Geometry, free: NDArray[np.int64]
+    peaks: list[Peak], data: Histogram, geometry: Geometry, free: IntArray
 ) -> list[Peak]:
     """Follow the ridge of each peak to both sides.
 
@@ -98,7 +94,7 @@ def _holds(place: Peak, offset: FloatArray) -> bool:
     return bool(offset @ np.linalg.solve(place.covariance, offset) < offset.size)
 
 
-def _walked(peak: Peak, data: Histogram, geometry: Geometry, free: NDArray[np.int64]) -> list[Peak]:
+def _walked(peak: Peak, data: Histogram, geometry: Geometry, free: IntArray) -> list[Peak]:
     """Places along the ridge of one peak, sorted by exponent."""
     start = _Place(peak.z, data, geometry, free)
     most = start.mass

@@ -12,12 +12,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.numerics.gaussians import Mixture, fill_squares, fitted_mixture
 
-FloatArray = NDArray[np.float64]
 LogDensity = Callable[[FloatArray], FloatArray]
 
 # Degrees of freedom of the proposal's components: heavier tails than the posterior of any clip.
@@ -306,7 +305,7 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-def resampled(weight: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def resampled(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
     """Draw n indices in proportion to weight by systematic resampling."""
     places = (rng.random() + np.arange(n)) / n
     total = np.cumsum(weight)

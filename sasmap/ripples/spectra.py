@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft2
 from scipy.ndimage import maximum_filter
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sasmap.arrays import BoolArray, FloatArray
+
 Part = tuple[slice, slice]
 
 # Fewest wavelengths per clip, and pixels per wavelength, for ripples to be detected.

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import PROJECT, REPORT
 from sasmap.passes.cell_estimate import CellEstimate
 from sasmap.products.cell_values import measured, statistics
@@ -33,7 +33,7 @@ def _good(outcome: Outcome) -> list[CellEstimate]:
     return [c.final for c in outcome.fused.values() if c.quality is Quality.GOOD]
 
 
-def _table(cells: list[CellEstimate], quantity: str) -> NDArray[np.float64]:
+def _table(cells: list[CellEstimate], quantity: str) -> FloatArray:
     return np.array([statistics(c, quantity) for c in cells])
 
 
@@ -67,7 +67,7 @@ def answers(plan: Plan, outcome: Outcome) -> Iterator[Answer]:
         yield Answer("Sediment classes", str(len(outcome.sediments)), areas)
 
 
-def _typical(what: str, table: NDArray[np.float64]) -> Answer:
+def _typical(what: str, table: FloatArray) -> Answer:
     """Range over cells where they differ by more than their errors, otherwise the median."""
     value, sd = np.median(table[:, 0]), np.median(table[:, 1])
     low, high = np.quantile(table[:, 0], (0.05, 0.95))

@@ -11,6 +11,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.products.extent import Outline, outlines, write_extent
 from sasmap.run.manifest import Outcome
 from sasmap.run.overlaps import covered, met, sharing
@@ -18,8 +19,6 @@ from sasmap.run.plan import Plan
 from sasmap.run.store import Store
 from sasmap.run.task import CERTAIN, UNSEEN, Context, extent_beside
 from sasmap.survey.cells import Cell
-
-FloatArray = NDArray[np.float64]
 
 # Maximum side of a mosaic node in pixels (smaller where wavelengths are short), and maximum number
 # of nodes in one group, which bounds memory (a choice).
@@ -110,7 +109,7 @@ def _places(
     context: Context,
     found: Found,
     cell: tuple[int, int],
-    inside: NDArray[np.bool_],
+    inside: BoolArray,
     side: int,
 ) -> FloatArray:
     """Probability of rippled sea floor at a cell's nodes (side, side): the mean over its looks.

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import MANIFEST
 from sasmap.io.jsonfile import write_json
 from sasmap.passes.fusion import FusedCell
@@ -131,7 +131,7 @@ def _told(settings: RippleSettings | None) -> dict[str, Any]:
     )
 
 
-def _law(quantiles: dict[str, NDArray[np.float64]]) -> dict[str, Any]:
+def _law(quantiles: dict[str, FloatArray]) -> dict[str, Any]:
     """Record exponent and concentration: median, 5 and 95 % quantiles, and spread."""
     low, middle, high = (quantiles["law"][i] for i in range(3))
     spread = quantiles["spread"][1]

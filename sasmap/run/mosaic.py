@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.catalogue import BY_FILE
 from sasmap.io.canvas import Canvas
 from sasmap.io.files import write_text
@@ -29,7 +30,6 @@ from sasmap.survey.cells import Cell
 from sasmap.survey.placement import on_cell
 from sasmap.survey.tiles import hash_file
 
-FloatArray = NDArray[np.float64]
 Read = Callable[[Cell, int], NDArray[np.float32] | None]
 
 FILE = "mosaic.tif"

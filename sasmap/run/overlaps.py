@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray
 from sasmap.passes.summary import Summary
 from sasmap.run.plan import Plan
 from sasmap.survey.cells import CellGrid
@@ -78,7 +79,7 @@ def _common(place: int, window: int, step: int, count: int) -> list[tuple[int, s
     return found
 
 
-def covered(plan: Plan, cell: Place, found: Mapping[Place, T]) -> NDArray[np.bool_]:
+def covered(plan: Plan, cell: Place, found: Mapping[Place, T]) -> BoolArray:
     """Pixels (window, window) of a cell of the map that lie in cells of a mapping."""
     result = np.zeros((plan.settings.window,) * 2, bool)
     for shared in sharing(plan, cell):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.io.canvas import Canvas
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.run.class_models import ClassModel
@@ -76,8 +77,8 @@ class Drawn(NamedTuple):
     mean_square : float
     """
 
-    edges: NDArray[np.float64]
-    counts: NDArray[np.float64]
+    edges: FloatArray
+    counts: FloatArray
     mean_square: float
 
     def histogram(self) -> dict[str, list[float]]:
@@ -192,7 +193,7 @@ class SedimentMap:
                 there = True
         return replace(self, objects=there)
 
-    def pixels(self) -> NDArray[np.int64]:
+    def pixels(self) -> IntArray:
         """Count pixels by number of the class (256,)."""
         total = np.zeros(256, np.int64)
         for top in range(0, self.label.shape[0], SIDE):

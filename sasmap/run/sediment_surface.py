@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.errors import fault_of
 from sasmap.io.canvas import Canvas
 from sasmap.numerics.threads import Workers, mapped
@@ -27,7 +28,6 @@ from sasmap.sediments.objects import find_objects
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid
 from sasmap.sediments.waves import LATTICE, MARGIN, find_waves
 
-FloatArray = NDArray[np.float64]
 Read = Callable[[int, int, int], tuple[FloatArray, FloatArray, FloatArray] | None]
 Part = tuple[slice, slice]
 
@@ -289,7 +289,7 @@ def _set_apart(surface: Surface, workers: Workers) -> bool:
     return True
 
 
-def _find_objects(surface: Surface, part: Part) -> tuple[bool, NDArray[np.int64]]:
+def _find_objects(surface: Surface, part: Part) -> tuple[bool, IntArray]:
     """Mark objects and shadow of each look in a piece.
 
     Returns whether there are any, and the number of training pixels of each class in the piece and

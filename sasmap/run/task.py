@@ -13,6 +13,7 @@ import shapely
 import xarray as xr
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.errors import fault_of
 from sasmap.passes.fusion import next_prior
 from sasmap.passes.summary import Summary, summarise
@@ -220,7 +221,7 @@ def in_bytes(image: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
     return values.astype(np.uint8), np.array(step)
 
 
-def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: NDArray[np.float64]) -> NDArray[np.uint8]:
+def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: FloatArray) -> NDArray[np.uint8]:
     """Probability of rippled floor on a cell's own pixels, in steps of 1 / CERTAIN."""
     there = on_cell(clip, rippled, plan.opened.grid, cell, plan.settings.window)
     known = np.isfinite(there)
@@ -229,7 +230,7 @@ def _packed(plan: Plan, cell: Cell, clip: Clip, rippled: NDArray[np.float64]) ->
 
 
 def extent_beside(
-    context: Context, cell: Cell, k: int, references: Sequence[NDArray[np.float64]]
+    context: Context, cell: Cell, k: int, references: Sequence[FloatArray]
 ) -> NDArray[np.uint8] | None:
     """Find how far ripples of neighbouring cells continue into one where none were found.
 
@@ -377,7 +378,7 @@ def track_hash(track: Track) -> str:
     return state.hexdigest()
 
 
-Floor = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Floor = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def read_floor(context: Context, cell: Cell, k: int, key: str | None) -> Floor | None:

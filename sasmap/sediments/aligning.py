@@ -14,17 +14,16 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.description import described
 from sasmap.sediments.floor import TILE, Flat, tiles
 from sasmap.sediments.trends import BLOCK, Blocks, gain_over
 
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Mask = BoolArray
 
 # Standard deviation of gain between passes of a survey (log amplitude: 1 dB), and the gains that
 # are tried. On hand-labelled strips 1 and 1.7 dB perform the same.
@@ -44,7 +43,7 @@ LEAST, SEEN, ROUNDS = 5, 6, 30
 def align(
     flat: Sequence[Flat],
     blocks: Sequence[Blocks],
-    labels: NDArray[np.int64],
+    labels: IntArray,
     count: int,
     workers: Workers = 1,
 ) -> FloatArray:
@@ -114,7 +113,7 @@ class _Class:
 def _classes(
     flat: Sequence[Flat],
     blocks: Sequence[Blocks],
-    labels: NDArray[np.int64],
+    labels: IntArray,
     count: int,
     workers: Workers,
 ) -> list[_Class]:

@@ -17,11 +17,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.order import median
 from sasmap.sediments.trends import Blocks, Real, log_angle, log_reach, trend_of
 
-FloatArray = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Width of a bin in log cotangent (1 % of range, about one block at the far end of a swath of 100
 # blocks); minimum mean number of blocks in a bin; maximum number of bins.
@@ -110,7 +110,7 @@ class Bands(NamedTuple):
         return np.asarray(gain, place.dtype)
 
 
-def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
+def steep(bands: Bands, blocks: Sequence[Blocks]) -> BoolArray:
     """Find blocks of any look within which gain changes too much to be subtracted from pixels.
 
     Parameters
@@ -131,7 +131,7 @@ def steep(bands: Bands, blocks: Sequence[Blocks]) -> NDArray[np.bool_]:
 
 
 def evened(
-    values: Iterable[FloatArray], known: NDArray[np.bool_], block: Blocks, bands: Bands
+    values: Iterable[FloatArray], known: BoolArray, block: Blocks, bands: Bands
 ) -> list[FloatArray]:
     """Remove the dependence on angle or range from other statistics of a look's blocks.
 
@@ -289,16 +289,14 @@ def _binned(blocks: Sequence[Blocks]) -> tuple[FloatArray, list[Index]]:
     return place, [number[b] for b in bins]
 
 
-def _across(
-    bins: Index, level: FloatArray, known: NDArray[np.bool_]
-) -> tuple[Index, Index, FloatArray]:
+def _across(bins: Index, level: FloatArray, known: BoolArray) -> tuple[Index, Index, FloatArray]:
     """Return the bins of pairs of near blocks in different bins, and their level differences."""
     one, other = _pairs(bins, known, LAGS)
     bins, level = bins.ravel(), level.ravel()
     return bins[one], bins[other], level[one] - level[other]
 
 
-def _pairs(bins: Index, known: NDArray[np.bool_], lags: int) -> tuple[Index, Index]:
+def _pairs(bins: Index, known: BoolArray, lags: int) -> tuple[Index, Index]:
     """Return flat indices of blocks, and of near blocks before them that lie in other bins."""
     number = np.arange(bins.size).reshape(bins.shape)
     one, other = [], []

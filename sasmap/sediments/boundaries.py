@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray, IntArray
 
 WINDOW = 40
 
@@ -91,7 +90,7 @@ class Profiles(NamedTuple):
         The profile itself; NaN where the data are.
     """
 
-    position: NDArray[np.int64]
+    position: IntArray
     filtered: FloatArray
 
 
@@ -150,7 +149,7 @@ def filtered_joint(windows: Windows, u: int = WINDOW) -> FloatArray:
     return left + fit_profiles(windows.right, "right", u).filtered
 
 
-def row_maxima(joint: FloatArray) -> NDArray[np.int64]:
+def row_maxima(joint: FloatArray) -> IntArray:
     """Position of the maximum of each row (G figure 17).
 
     Parameters
@@ -164,7 +163,7 @@ def row_maxima(joint: FloatArray) -> NDArray[np.int64]:
     return np.asarray(np.nanargmax(joint, axis=1))
 
 
-def best_positions(log_left: FloatArray, log_right: FloatArray) -> NDArray[np.int64]:
+def best_positions(log_left: FloatArray, log_right: FloatArray) -> IntArray:
     """Most likely position of one boundary in each row, by all its pixels.
 
     Parameters

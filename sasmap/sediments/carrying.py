@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.bands import SLIGHT, find_bands, leveled
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, log_moments, noise_factor
 from sasmap.sediments.fitting import Law
 from sasmap.sediments.floor import flat_looks, gather
 from sasmap.sediments.trends import AmplitudeGrid, Blocks, first_trends, refit, trend_of
-
-FloatArray = NDArray[np.float64]
 
 # Standard deviation of the gain difference between surveys (log amplitude: 3 dB), gains that are
 # tried as starting values, iterations of a fit.
@@ -91,7 +89,7 @@ def _trends(
 
 def _assigned(
     blocks: list[Blocks], trends: FloatArray, means: FloatArray, spreads: FloatArray
-) -> tuple[NDArray[np.int64], float]:
+) -> tuple[IntArray, float]:
     """Assign each block to a class, -1 where unknown; also return the total log likelihood."""
     total = np.zeros((means.size, *blocks[0].mean.shape))
     seen = np.zeros(blocks[0].mean.shape, bool)

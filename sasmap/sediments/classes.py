@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.numerics.looks import effective_samples
 from sasmap.sediments.bands import Bands
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import Flat, pixels_of
 from sasmap.sediments.texture import Texture
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, Real, log_cotangent, trend_of
-
-FloatArray = NDArray[np.float64]
 
 # Log amplitude below the survey's median (14 dB) and, where sediments are known, below the darkest
 # one (5 dB) at which a block is not sediment; minimum number of such blocks to fit their law.
@@ -97,9 +96,7 @@ def log_moments(law: Law) -> tuple[float, float]:
     return mean, float(np.log(weight @ (t - mean) ** 2))
 
 
-def dark_blocks(
-    blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()
-) -> NDArray[np.bool_]:
+def dark_blocks(blocks: list[Blocks], trends: FloatArray, laws: Sequence[Law] = ()) -> BoolArray:
     """Find blocks too dark to be sediment, by the survey's median and by the sediments' laws."""
     level, weight = levels(blocks, trends)
     seen = weight > 0
@@ -109,7 +106,7 @@ def dark_blocks(
     return seen & (level < limit)
 
 
-def dark_law(flat: Sequence[Flat], dark: NDArray[np.bool_], factor: float) -> Law | None:
+def dark_law(flat: Sequence[Flat], dark: BoolArray, factor: float) -> Law | None:
     """Fit the law of blocks too dark to be sediment, if there are enough of them."""
     if dark.sum() < LEAST_DARK:
         return None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.spatial import cKDTree
 
+from sasmap.arrays import BoolArray
 from sasmap.sediments.classes import Classes
 from sasmap.sediments.field import (
     likeliest,
@@ -110,9 +111,7 @@ def _with_texture(
     return result
 
 
-def averaged(
-    likelihood: NDArray[np.float32], mask: NDArray[np.bool_], side: int
-) -> NDArray[np.float32]:
+def averaged(likelihood: NDArray[np.float32], mask: BoolArray, side: int) -> NDArray[np.float32]:
     """Average log likelihoods over squares, within the marked pixels only.
 
     Parameters
@@ -197,7 +196,7 @@ def sieved(
     label: NDArray[np.uint8],
     smallest: float = SMALLEST,
     whole: bool = True,
-    among: NDArray[np.bool_] | None = None,
+    among: BoolArray | None = None,
 ) -> NDArray[np.uint8]:
     """Assign patches of too few pixels to the nearest other class.
 

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.sediments.trends import BLOCK, log_cotangent
-
-FloatArray = NDArray[np.float64]
 
 # Powers of the sine that are tried. Amplitude of sand goes with powers of 0.5 to 2 over most angles
 # (APL-UW TR 9407); a power near 0 is floor of the same amplitude at all angles.
@@ -87,7 +86,7 @@ def bed_of(
     amplitude: NDArray[np.floating],
     cotangent: NDArray[np.floating],
     profile: NDArray[np.floating],
-    rippled: NDArray[np.bool_],
+    rippled: BoolArray,
 ) -> Bed:
     """Describe the whole blocks of an image.
 
@@ -122,7 +121,7 @@ def bed_of(
     return Bed(level, _blocks(place) / side, change, _blocks(there) / side)
 
 
-def _changes(logs: NDArray[np.float32], there: NDArray[np.bool_]) -> FloatArray:
+def _changes(logs: NDArray[np.float32], there: BoolArray) -> FloatArray:
     """Compute log power means relative to the plain mean, by blocks.
 
     A block's mean stands for its pixels, since the averages are four blocks wide.

@@ -10,9 +10,9 @@ from functools import lru_cache
 from math import comb, factorial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import poch
 
+from sasmap.arrays import FloatArray
 from sasmap.sediments.kernel import (
     cumulate,
     log_densities,
@@ -20,8 +20,6 @@ from sasmap.sediments.kernel import (
     log_normaliser,
     mass,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Points and weights of the Gauss-Legendre rule on each smooth piece of a law.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.bands import Bands, evened
 from sasmap.sediments.floor import Flat, Part, around, blocks_in, tiles
 from sasmap.sediments.texture import LAGS, SCALES
 from sasmap.sediments.trends import BLOCK, MIN_KNOWN, Blocks, trend_of
 
-FloatArray = NDArray[np.float64]
-Labels = NDArray[np.int64]
+Labels = IntArray
 
 # Side in blocks of the window over which texture is described: 48 pixels.
 AROUND = 3
@@ -66,7 +66,7 @@ class BlockTexture:
 
     sums: list[NDArray[np.float32]]
     gains: list[FloatArray]
-    shown: NDArray[np.bool_]
+    shown: BoolArray
 
     @classmethod
     def of(
@@ -76,7 +76,7 @@ class BlockTexture:
         shape: tuple[int, ...],
         chosen: Sequence[Part],
         workers: Workers,
-        rippled: NDArray[np.bool_] | None = None,
+        rippled: BoolArray | None = None,
     ) -> BlockTexture:
         """Describe tiles.
 
@@ -107,7 +107,7 @@ class BlockTexture:
         blocks: Sequence[Blocks],
         trends: FloatArray,
         bands: Bands | None,
-        dark: NDArray[np.bool_],
+        dark: BoolArray,
     ) -> FloatArray:
         """Compute the texture of blocks with their neighbours under a gain.
 
@@ -157,7 +157,7 @@ def _values(sums: FloatArray) -> FloatArray:
     return np.concatenate([levels[:1], scatter, np.log(np.maximum(apart, 0) + 1e-6)])
 
 
-def described(look: Flat, chosen: NDArray[np.bool_], workers: Workers = 1) -> FloatArray:
+def described(look: Flat, chosen: BoolArray, workers: Workers = 1) -> FloatArray:
     """Compute the texture of a look's blocks, each without its neighbours.
 
     Parameters
@@ -196,7 +196,7 @@ def _texture_sums(
     return result
 
 
-def _bounds(tile: Part, blocks: NDArray[np.bool_]) -> Part | None:
+def _bounds(tile: Part, blocks: BoolArray) -> Part | None:
     """Bounding box of marked blocks within a tile; None where it holds none."""
     held = blocks[blocks_in(tile)]
     if not held.any():
@@ -264,8 +264,8 @@ def _pooled(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _differences(
-    level: NDArray[np.float32], there: NDArray[np.bool_], behind: int
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    level: NDArray[np.float32], there: BoolArray, behind: int
+) -> tuple[NDArray[np.float32], BoolArray]:
     """Squared differences, down plus across, from `behind` places back to one ahead; and where."""
     pad = ((behind, 1), (behind, 1))
     wide, known = np.pad(level, pad, "edge"), np.pad(there, pad, "edge")
@@ -278,9 +278,7 @@ def _differences(
     return down * down + across * across, both
 
 
-def _known_mean(
-    values: NDArray[np.float32], there: NDArray[np.bool_], side: int
-) -> NDArray[np.float32]:
+def _known_mean(values: NDArray[np.float32], there: BoolArray, side: int) -> NDArray[np.float32]:
     """Mean of known values over squares; 0 where there are none."""
     if there.all():
         return np.asarray(_block_sums(values, side) / np.float32(side * side), np.float32)
@@ -295,7 +293,7 @@ def _block_sums(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     return np.asarray(down.reshape(rows, columns, side).sum(axis=2))
 
 
-def _shown(chosen: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _shown(chosen: Sequence[Part], shape: tuple[int, ...]) -> BoolArray:
     """Mark blocks in tiles whose neighbours are all in tiles."""
     mask = np.zeros(shape, bool)
     for part in chosen:

@@ -8,15 +8,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import gammaln
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.sediments.densities import Table, by_law, even_moment, log_density_of, moment
 from sasmap.sediments.fitting import Law, fit
 from sasmap.sediments.moments import fit_moments
-
-FloatArray = NDArray[np.float64]
 
 # Largest nu and smallest kappa at which a search with a fixed parameter starts: beyond, the
 # likelihood of speckle is flat in nu (Rayleigh or Rice) or kappa is at its bound.
@@ -39,7 +37,7 @@ class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
     0.5
     """
 
-    def _argcheck(self, nu: FloatArray, kappa: FloatArray) -> NDArray[np.bool_]:
+    def _argcheck(self, nu: FloatArray, kappa: FloatArray) -> BoolArray:
         return np.asarray((nu > 0) & (kappa >= 0) & np.isfinite(nu) & np.isfinite(kappa))
 
     def _logpdf(self, x: FloatArray, nu: FloatArray, kappa: FloatArray) -> FloatArray:
@@ -115,7 +113,7 @@ class GeneralizedK(stats.rv_continuous):  # type: ignore[misc]
 class KDistribution(GeneralizedK):
     """K law of an amplitude (G 3): shape nu; the scale is a, E[x^2] = a^2."""
 
-    def _argcheck(self, nu: FloatArray) -> NDArray[np.bool_]:  # type: ignore[override]
+    def _argcheck(self, nu: FloatArray) -> BoolArray:  # type: ignore[override]
         return np.asarray((nu > 0) & np.isfinite(nu))
 
     def _logpdf(self, x: FloatArray, nu: FloatArray) -> FloatArray:  # type: ignore[override]

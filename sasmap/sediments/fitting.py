@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.sediments import likelihood as ml
 from sasmap.sediments.densities import NODES as NODES16
 from sasmap.sediments.densities import WEIGHTS as WEIGHTS16
 
-FloatArray = NDArray[np.float64]
 Family = Literal["rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k"]
 
 FAMILIES: tuple[Family, ...] = ("rayleigh", "k", "rice", "weibull", "lognormal", "generalized_k")
@@ -313,9 +313,7 @@ def starts_of(bins: Bins, family: Family) -> list[FloatArray]:
     return [heavy, middle, np.array([np.log(3.0), max(rice, 0.7), power])]
 
 
-def _errors(
-    u: FloatArray, free: NDArray[np.bool_], information: FloatArray
-) -> tuple[float, float, float]:
+def _errors(u: FloatArray, free: BoolArray, information: FloatArray) -> tuple[float, float, float]:
     inside = free & (u > ml.LOWER + 1e-9) & (u < ml.UPPER - 1e-9)
     result = np.full(3, np.nan)
     if inside.any():

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.bands import Bands
 from sasmap.sediments.trends import (
@@ -25,7 +26,6 @@ from sasmap.sediments.trends import (
     trend_of,
 )
 
-FloatArray = NDArray[np.float64]
 Part = tuple[slice, slice]
 
 # Side in pixels of the tiles that are read at once: whole blocks.
@@ -77,7 +77,7 @@ class Flat:
         cotangent = np.asarray(self.look.cotangent[part], np.float32)
         return self._leveled(self.look.amplitude[part], cotangent, altitude)
 
-    def blocks(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.floating]:
+    def blocks(self, rows: IntArray, columns: IntArray) -> NDArray[np.floating]:
         """Return amplitudes of the pixels of some blocks (blocks, pixels)."""
         if not rows.size:
             return np.empty((0, BLOCK**2), np.float32)
@@ -147,12 +147,12 @@ def on_pixels(blocks: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     return np.asarray(blocks[np.ix_(*index)])
 
 
-def blocks_shown(mask: Any, workers: Workers = 1) -> NDArray[np.bool_]:
+def blocks_shown(mask: Any, workers: Workers = 1) -> BoolArray:
     """Find blocks that are mostly marked (above 0) in a raster that is read in slices."""
     result = np.zeros([n // BLOCK for n in mask.shape], bool)
     every = tiles(mask.shape)
 
-    def share(part: Part) -> NDArray[np.float64]:
+    def share(part: Part) -> FloatArray:
         values = np.asarray(mask[part]) > 0
         rows, columns = (n // BLOCK for n in values.shape)
         values = values[: rows * BLOCK, : columns * BLOCK]
@@ -209,7 +209,7 @@ def gather(
     return [b._replace(place=b.place - centre) for b in found], centre
 
 
-def pixels_of(flat: Sequence[Flat], blocks: NDArray[np.bool_]) -> FloatArray:
+def pixels_of(flat: Sequence[Flat], blocks: BoolArray) -> FloatArray:
     """Read the amplitudes of pixels in some blocks of all looks; thinned where there are many.
 
     Parameters
@@ -232,7 +232,7 @@ def pixels_of(flat: Sequence[Flat], blocks: NDArray[np.bool_]) -> FloatArray:
 
 
 @lru_cache(maxsize=4)
-def _order(blocks: int) -> NDArray[np.int64]:
+def _order(blocks: int) -> IntArray:
     """Random order of the blocks of a lattice."""
     return np.random.default_rng(0).permutation(blocks)
 
@@ -251,9 +251,7 @@ def _pixels(row: int, column: int) -> Part:
     )
 
 
-def chosen_tiles(
-    shape: tuple[int, ...], side: int, most: int, labels: NDArray[np.int64]
-) -> list[Part]:
+def chosen_tiles(shape: tuple[int, ...], side: int, most: int, labels: IntArray) -> list[Part]:
     """Choose tiles that represent a raster: all, or some at random, with some of each class.
 
     Parameters

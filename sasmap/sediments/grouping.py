@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.gaussians import expectation_maximisation, log_densities
 from sasmap.sediments.description import CLEAR
 
-FloatArray = NDArray[np.float64]
-Labels = NDArray[np.int64]
+Labels = IntArray
 
 MOST_CLASSES = 8
 # Minimum share of a class's blocks without another class beside them.
@@ -82,9 +81,9 @@ def grouped(
 def pruned(
     labels: Labels,
     least: int,
-    judged: NDArray[np.bool_] | None = None,
+    judged: BoolArray | None = None,
     across: int = 3,
-    rippled: NDArray[np.bool_] | None = None,
+    rippled: BoolArray | None = None,
 ) -> Labels:
     """Drop groups that lie only between others: blocks that contain two sediments.
 
@@ -148,9 +147,9 @@ def _sliced(points: FloatArray, n: int) -> FloatArray:
 
 def textured_groups(
     described: FloatArray,
-    shown: NDArray[np.bool_],
+    shown: BoolArray,
     labels: Labels,
-    dark: NDArray[np.bool_],
+    dark: BoolArray,
     count: int | None,
 ) -> tuple[Labels, bool]:
     """Group blocks by amplitude and texture.
@@ -194,9 +193,9 @@ def textured_groups(
 def _mixed(
     described: FloatArray,
     groups: Labels,
-    dark: NDArray[np.bool_],
+    dark: BoolArray,
     k: int,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
 ) -> bool:
     """Whether a group by amplitude holds two textures, each with an area of its own."""
     mine = groups == k

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import find_contours
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.numerics.threads import Workers, mapped
 from sasmap.sediments.nodes import Boundary, normals, refine_boundary
 
-FloatArray = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 # Pixels beside a contour at which its two classes are looked up, and the shortest line, in pixels.
@@ -224,7 +224,7 @@ def sides(label: Any, points: FloatArray, closed: bool) -> tuple[Labels, Labels]
     return found[0], found[1]
 
 
-def _looked_up(label: Any, place: NDArray[np.int64]) -> Labels:
+def _looked_up(label: Any, place: IntArray) -> Labels:
     """Classes at given pixels (..., 2); 0 beyond the map."""
     inside = ((place >= 0) & (place < label.shape)).all(axis=-1)
     result = np.zeros(inside.shape, np.uint8)
@@ -236,7 +236,7 @@ def _looked_up(label: Any, place: NDArray[np.int64]) -> Labels:
     return result
 
 
-def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[NDArray[np.int64], bool]]:
+def _runs(values: NDArray[np.integer], closed: bool) -> Iterator[tuple[IntArray, bool]]:
     """Yield indices of runs of one value above 0, and whether a run is the whole closed line.
 
     Single points with a wrong value at a corner of the staircase do not split a run.

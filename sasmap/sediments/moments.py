@@ -10,9 +10,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from sasmap.arrays import FloatArray
 from sasmap.sediments import likelihood as ml
 from sasmap.sediments.densities import Table, even_moment
 from sasmap.sediments.fitting import (
@@ -28,8 +29,6 @@ from sasmap.sediments.fitting import (
     histogram,
     starts_of,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 def fit_moments(data: ArrayLike) -> Law:

@@ -21,12 +21,11 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 from scipy.special import logsumexp, ndtri
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray, IntArray
 
 # Pixels between nodes, distance that they search either way, and step of the search.
 SPACING, REACH, STEP = 4.0, 14.0, 0.5
@@ -367,7 +366,7 @@ def _marginals(score: FloatArray, width: float) -> FloatArray:
     return np.asarray(both / both.sum(axis=1, keepdims=True))
 
 
-def _best_path(score: FloatArray, width: float, closed: bool) -> NDArray[np.int64]:
+def _best_path(score: FloatArray, width: float, closed: bool) -> IntArray:
     """Places of highest joint posterior, by dynamic programming.
 
     A closed line is repeated three times, so that its ends are linked; the middle copy is kept.

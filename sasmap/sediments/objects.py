@@ -25,9 +25,10 @@ from scipy.ndimage import (
 )
 from scipy.ndimage import label as measure_label
 
+from sasmap.arrays import BoolArray, IntArray
 from sasmap.sediments.waves import COARSE, coarse
 
-Mask = NDArray[np.bool_]
+Mask = BoolArray
 Part = tuple[slice, slice]
 
 # Side in squares of the blocks whose medians give the floor's level, and side in blocks of the
@@ -157,7 +158,7 @@ def _hard(mask: Mask, over: NDArray[np.floating], there: Mask, least: int) -> Ma
     return np.asarray(hard[parts])
 
 
-def _paired(bright: Mask, shadow: Mask, far: NDArray[np.floating]) -> tuple[NDArray[np.int64], int]:
+def _paired(bright: Mask, shadow: Mask, far: NDArray[np.floating]) -> tuple[IntArray, int]:
     """Give neighbouring bright parts one number, if one of them has a shadow behind it."""
     near = generate_binary_structure(2, 2)
     parts, count = measure_label(bright, near)
@@ -179,22 +180,20 @@ def _paired(bright: Mask, shadow: Mask, far: NDArray[np.floating]) -> tuple[NDAr
     return np.where(bright & has[places], places, 0), number
 
 
-def _grown(parts: NDArray[np.int64], steps: int) -> NDArray[np.int64]:
+def _grown(parts: IntArray, steps: int) -> IntArray:
     """Spread part numbers over unnumbered squares."""
     grown = grey_dilation(parts, size=2 * steps + 1)
     return np.where(parts > 0, parts, grown)
 
 
-def _means(
-    parts: NDArray[np.int64], values: NDArray[np.floating], count: int
-) -> NDArray[np.floating]:
+def _means(parts: IntArray, values: NDArray[np.floating], count: int) -> NDArray[np.floating]:
     """Mean of each numbered part."""
     flat = parts.ravel()
     total = np.bincount(flat, np.nan_to_num(values).ravel(), minlength=count + 1)
     return np.asarray(total / np.maximum(np.bincount(flat, minlength=count + 1), 1))
 
 
-def _apart(places: NDArray[np.int64], count: int, parts: tuple[Mask, Mask], rippled: Mask) -> Mask:
+def _apart(places: IntArray, count: int, parts: tuple[Mask, Mask], rippled: Mask) -> Mask:
     """Keep objects that stand alone and not on ripples."""
     kept = np.zeros(count + 1, bool)
     every = []

@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled, steep
 from sasmap.sediments.classes import Classes, dark_blocks, dark_law, levels, noise_factor
@@ -35,8 +36,6 @@ from sasmap.sediments.separation import (
 )
 from sasmap.sediments.texture import DECIDING, REACH, Texture, channels, learn
 from sasmap.sediments.trends import BLOCK, AmplitudeGrid, Blocks, first_trends, refit
-
-FloatArray = NDArray[np.float64]
 
 # Scatter of mean and log variance within one sediment's blocks, beyond sampling noise.
 FLOOR = (0.02, 0.06)
@@ -59,7 +58,7 @@ WORSE, TELLING = 1.3, 2000
 LEVEL = 0.2
 
 
-Dark = NDArray[np.bool_]
+Dark = BoolArray
 
 
 @dataclass
@@ -89,8 +88,8 @@ class _Survey:
         return [Flat(v, trend, self.centre, bands, k, kept) for k, (v, trend, kept) in each]
 
     def described(
-        self, labels: NDArray[np.int64], trends: FloatArray, bands: Bands | None, dark: Dark
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        self, labels: IntArray, trends: FloatArray, bands: Bands | None, dark: Dark
+    ) -> tuple[FloatArray, BoolArray]:
         """Return the texture of blocks under a gain, and which blocks are described."""
         if self.texture is None:
             # bands are removed pixel by pixel: within a block they would appear as texture
@@ -107,7 +106,7 @@ class _Survey:
 class _Found(NamedTuple):
     """One way of grouping a survey's blocks."""
 
-    labels: NDArray[np.int64]
+    labels: IntArray
     laws: list[Law]
     textured: bool
     trends: FloatArray
@@ -289,7 +288,7 @@ def _finished(survey: _Survey, found: _Found) -> Classes:
     )
 
 
-def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> list[Part]:
+def _sampled(flat: Sequence[Flat], labels: IntArray, pixels: int) -> list[Part]:
     """Choose tiles with at most about `pixels` pixels over all looks."""
     shape = flat[0].shape
     if shape[0] * shape[1] * len(flat) <= pixels:
@@ -298,9 +297,7 @@ def _sampled(flat: Sequence[Flat], labels: NDArray[np.int64], pixels: int) -> li
     return chosen_tiles(shape, SAMPLED_SIDE, most, labels)
 
 
-def _learned(
-    flat: Sequence[Flat], labels: NDArray[np.int64], count: int, chosen: Sequence[Part]
-) -> Texture:
+def _learned(flat: Sequence[Flat], labels: IntArray, count: int, chosen: Sequence[Part]) -> Texture:
     """Learn textures of the blocks' classes (from 1, 0 for none) from some tiles."""
     parts = []
     for part in chosen:
@@ -312,7 +309,7 @@ def _learned(
     return learn(parts, count, -(-DECIDING * len(flat) // len(parts)), cores=True)
 
 
-def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int64]:
+def _marks_of(blocks: IntArray, shape: Sequence[int]) -> IntArray:
     """Expand classes of blocks to their pixels; 0 beyond the last whole block."""
     whole = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
     whole = whole[: shape[0], : shape[1]]
@@ -320,8 +317,8 @@ def _marks_of(blocks: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.int
 
 
 def _features(
-    blocks: list[Blocks], trends: FloatArray, dark: NDArray[np.bool_]
-) -> tuple[FloatArray, tuple[NDArray[np.int64], ...]]:
+    blocks: list[Blocks], trends: FloatArray, dark: BoolArray
+) -> tuple[FloatArray, tuple[IntArray, ...]]:
     """Mean and log variance of log amplitude of even blocks (n, 2), and their indices."""
     level, weight = levels(blocks, trends)
     weight = np.where(dark, 0.0, weight)

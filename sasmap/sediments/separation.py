@@ -6,13 +6,11 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.sediments.fitting import Law, choose
 from sasmap.sediments.floor import Flat, pixels_of
-
-FloatArray = NDArray[np.float64]
 
 # Nats per pixel below which two textures have the same histogram.
 ALIKE = 0.005
@@ -34,13 +32,13 @@ RELIEF, PARTLY, WHOLLY = 0.2, 0.65, 0.8
 WITHIN = 0.7
 
 
-def law_of(flat: Sequence[Flat], blocks: NDArray[np.bool_], factor: float) -> Law:
+def law_of(flat: Sequence[Flat], blocks: BoolArray, factor: float) -> Law:
     """Fit the law of the pixels of some blocks."""
     values = pixels_of(flat, blocks)
     return choose(values, samples=values.size / factor).law
 
 
-def laws_of(flat: Sequence[Flat], labels: NDArray[np.int64], factor: float) -> list[Law]:
+def laws_of(flat: Sequence[Flat], labels: IntArray, factor: float) -> list[Law]:
     """Fit the law of each group.
 
     Parameters
@@ -60,11 +58,11 @@ def laws_of(flat: Sequence[Flat], labels: NDArray[np.int64], factor: float) -> l
 
 def merged(
     flat: Sequence[Flat],
-    labels: NDArray[np.int64],
+    labels: IntArray,
     least: int,
     factor: float,
     apart: float,
-) -> tuple[NDArray[np.int64], list[Law]]:
+) -> tuple[IntArray, list[Law]]:
     """Merge classes less than `apart` from each other, nearest first, down to `least`."""
     laws = laws_of(flat, labels, factor)
     while len(laws) > least:
@@ -82,13 +80,13 @@ def merged(
 
 def united(
     flat: Sequence[Flat],
-    labels: NDArray[np.int64],
+    labels: IntArray,
     laws: list[Law],
     level: FloatArray,
     factor: float,
     told: float,
-    rippled: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.int64], list[Law]]:
+    rippled: BoolArray | None = None,
+) -> tuple[IntArray, list[Law]]:
     """Merge classes that differ in level but change into each other without an edge.
 
     A floor whose level drifts slightly is one sediment; at a boundary the level jumps. Rippled and
@@ -140,9 +138,9 @@ class _Bed(NamedTuple):
 
 def _beds(
     flat: Sequence[Flat],
-    labels: NDArray[np.int64],
+    labels: IntArray,
     classes: Iterable[int],
-    rippled: NDArray[np.bool_],
+    rippled: BoolArray,
 ) -> list[_Bed]:
     found = []
     for k in classes:
@@ -153,7 +151,7 @@ def _beds(
 
 
 def _sharpness(
-    labels: NDArray[np.int64],
+    labels: IntArray,
     level: FloatArray,
     pair: tuple[int, int],
     told: float,
@@ -189,7 +187,7 @@ def _parted_by_relief(first: _Bed, second: _Bed) -> bool:
     return less < PARTLY and more > WHOLLY and abs(first.power - second.power) < RELIEF
 
 
-def within(groups: NDArray[np.int64], classes: NDArray[np.int64]) -> bool:
+def within(groups: IntArray, classes: IntArray) -> bool:
     """Whether each group of blocks lies mostly within one class, and so does not cut across any."""
     both = (groups >= 0) & (classes >= 0)
     table = np.zeros((int(groups.max()) + 1, int(classes.max()) + 1))

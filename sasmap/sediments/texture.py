@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.optimize import minimize
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import BoolArray, FloatArray, IntArray
+
 Single = NDArray[np.float32]
 
 # Pixels over which intensity is averaged, and distance in pixels of its differences (and the
@@ -139,7 +140,7 @@ def _box(values: Single, share: Single, side: int, every: bool) -> Single:
     return np.asarray(mean / np.maximum(uniform_filter(share, side, mode="reflect"), 1e-9))
 
 
-def _apart(level: Single, known: NDArray[np.bool_] | None, axis: int, lag: int) -> Single:
+def _apart(level: Single, known: BoolArray | None, axis: int, lag: int) -> Single:
     """Difference across each pixel; 0 where either side is unknown."""
     ahead, behind = lag - lag // 2, lag // 2
 
@@ -212,12 +213,12 @@ def _laws(
     return low, high, logs
 
 
-def _binned(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.int64]:
+def _binned(values: NDArray[np.floating], low: float, high: float) -> IntArray:
     place = (values - low) * (BINS / (high - low))
     return np.asarray(np.clip(np.nan_to_num(place), 0, BINS - 1), np.int64)
 
 
-def _deciding(marks: NDArray[np.integer], count: int, most: int) -> tuple[NDArray[np.int64], ...]:
+def _deciding(marks: NDArray[np.integer], count: int, most: int) -> tuple[IntArray, ...]:
     """Select pixels of each class, evenly thinned."""
     places = []
     for k in range(1, count + 1):
@@ -232,7 +233,7 @@ def _smoothed(
     low: FloatArray,
     high: FloatArray,
     ratio: FloatArray,
-    chosen: tuple[NDArray[np.int64], ...],
+    chosen: tuple[IntArray, ...],
 ) -> FloatArray:
     """Log ratios of laws over windows at chosen pixels (channels x (classes - 1) x windows, n)."""
     known = np.isfinite(found[0])
@@ -246,7 +247,7 @@ def _smoothed(
     return np.array(rows, np.float64)
 
 
-def _window_sums(values: Single, chosen: tuple[NDArray[np.int64], ...]) -> FloatArray:
+def _window_sums(values: Single, chosen: tuple[IntArray, ...]) -> FloatArray:
     """Sum over all windows about chosen pixels (windows, n), mirrored at the edges."""
     half = WINDOWS[-1] // 2
     wide = np.pad(values, half, "symmetric").astype(float)
@@ -264,9 +265,7 @@ def _window_sums(values: Single, chosen: tuple[NDArray[np.int64], ...]) -> Float
     return np.array(sums)
 
 
-def _weights(
-    features: FloatArray, classes: NDArray[np.int64], count: int
-) -> tuple[FloatArray, FloatArray]:
+def _weights(features: FloatArray, classes: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Fit a multinomial logistic regression in which each class has the same weight."""
     n, total = features.shape
     mean, sd = features.mean(axis=1), features.std(axis=1) + 1e-9
@@ -295,7 +294,7 @@ def _weights(
     return weight, best[count * n :] - weight @ mean
 
 
-def _midway(scores: FloatArray, classes: NDArray[np.int64]) -> FloatArray:
+def _midway(scores: FloatArray, classes: IntArray) -> FloatArray:
     """Offsets (classes,) that make the log odds of a half-and-half window zero.
 
     The log odds of a window go from those of one class to those of the other as its share grows,
@@ -403,7 +402,7 @@ def tells_more(
     return bool(recall[1] > recall[0] + WORTH)
 
 
-def _board(shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _board(shape: tuple[int, ...]) -> IntArray:
     """Chequerboard of 0 and 1."""
     r, c = (np.arange(n) // FOLD for n in shape)
     return np.asarray((r[:, None] + c) % 2)

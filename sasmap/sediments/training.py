@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import IntArray
 from sasmap.numerics.threads import Workers
 from sasmap.sediments.aligning import align
 from sasmap.sediments.bands import SLIGHT, Bands, find_bands, leveled
@@ -79,7 +79,7 @@ def train_classes(
     return Classes(tuple(laws), trends, centre, factor, none, texture, bands)
 
 
-def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
+def _confirmed(blocks: list[Blocks], labels: IntArray) -> Bands | None:
     """Return gain by range, if marked blocks of one class agree better with it removed.
 
     Sediments at different ranges along a whole line are not taken for gain where they are marked.
@@ -91,7 +91,7 @@ def _confirmed(blocks: list[Blocks], labels: NDArray[np.int64]) -> Bands | None:
     return bands if scatter[1] < AGREE * scatter[0] else None
 
 
-def _scatter(blocks: list[Blocks], labels: NDArray[np.int64]) -> float:
+def _scatter(blocks: list[Blocks], labels: IntArray) -> float:
     """Within-class share of the variance of marked blocks' levels, over all looks.
 
     With a single class, its variance.
@@ -153,7 +153,7 @@ def _marked_boxes(marks: Any, shape: tuple[int, ...], most: int) -> list[Part]:
     return found
 
 
-def _marked_blocks(marks: Any, lattice: tuple[int, ...], count: int) -> NDArray[np.int64]:
+def _marked_blocks(marks: Any, lattice: tuple[int, ...], count: int) -> IntArray:
     """Class (from 0) of each uniformly marked block, -1 for others."""
     result = np.full(lattice, -1)
     step = TILE // BLOCK

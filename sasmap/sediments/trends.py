@@ -12,9 +12,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.numerics.order import median
 
-FloatArray = NDArray[np.float64]
 Real = TypeVar("Real", bound=np.floating[Any])
 
 BLOCK = 16
@@ -107,7 +107,7 @@ def block_statistics(look: AmplitudeGrid, centre: float) -> Blocks:
     return Blocks(mean, variance, np.where(enough, count, 0.0), *_places(look, known, centre))
 
 
-def _places(look: AmplitudeGrid, known: NDArray[np.bool_], centre: float) -> list[FloatArray]:
+def _places(look: AmplitudeGrid, known: BoolArray, centre: float) -> list[FloatArray]:
     """Place, angle and reach of blocks; they vary so slowly that few pixels suffice."""
     rows, columns = (n // BLOCK * BLOCK for n in known.shape)
     some = slice(THINNED // 2, rows, THINNED), slice(THINNED // 2, columns, THINNED)
@@ -225,8 +225,8 @@ def trend_of(trend: FloatArray, place: NDArray[Real]) -> NDArray[Real]:
 
 def refit(
     blocks: list[Blocks],
-    groups: NDArray[np.int64],
-    index: tuple[NDArray[np.int64], ...],
+    groups: IntArray,
+    index: tuple[IntArray, ...],
     first: FloatArray,
     means: FloatArray | None = None,
     gain_sd: float = 1e-6,

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.fft import fft, ifft, irfft, next_fast_len, rfft, rfft2
 from scipy.ndimage import gaussian_filter
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import BoolArray, FloatArray, IntArray
+
 Single = NDArray[np.float32]
 Part = tuple[slice, slice]
 
@@ -76,7 +77,7 @@ class Waves(NamedTuple):
     """
 
     profile: Single
-    rippled: NDArray[np.bool_]
+    rippled: BoolArray
 
 
 def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Waves:
@@ -99,7 +100,7 @@ def find_waves(amplitude: NDArray[np.floating], inner: Part | None = None) -> Wa
     rows, columns = (slice(s.start // COARSE, -(-s.stop // COARSE)) for s in inner)
     level, known = coarse(amplitude)
     profile, weight, rippled = (np.zeros(level.shape, np.float32) for _ in range(3))
-    told: list[tuple[Part, _Wave, NDArray[np.bool_]]] = []
+    told: list[tuple[Part, _Wave, BoolArray]] = []
     for size in WINDOWS:
         larger = tuple(told)
         for part, wave in _waves_about(level, known, (rows, columns), size):
@@ -201,7 +202,7 @@ def _waves_about(
             yield part, wave
 
 
-def _all(mask: NDArray[np.bool_], whole: Part, part: Part) -> bool:
+def _all(mask: BoolArray, whole: Part, part: Part) -> bool:
     """Whether a part lies in a window whose mask covers all of it."""
     inside = all(a.start <= b.start and b.stop <= a.stop for a, b in zip(whole, part, strict=True))
     place = (slice(b.start - a.start, b.stop - a.start) for a, b in zip(whole, part, strict=True))
@@ -262,13 +263,13 @@ def _peak(power: FloatArray, over: FloatArray, size: int) -> _Wave | None:
     return _Wave(float(k[0]) / size, float(k[1]) / size, rise) if rise >= RISES[0] else None
 
 
-def _mode(place: tuple[Any, ...], size: int) -> NDArray[np.int64]:
+def _mode(place: tuple[Any, ...], size: int) -> IntArray:
     """Cycles per window, down and across, at an index of half a spectrum."""
     row, column = (int(v) for v in place)
     return np.array([row - size * (row > size // 2), column])
 
 
-def _near(k: NDArray[Any], size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _near(k: NDArray[Any], size: int) -> tuple[IntArray, IntArray]:
     """Rows and columns of the nine modes about a wave number (cycles per window)."""
     down, across = (np.arange(h - 1, h + 2) for h in np.rint(k).astype(int))
     # a real image has the same power at the opposite wave number
@@ -283,7 +284,7 @@ def _about(power: FloatArray, k: NDArray[Any], size: int) -> FloatArray:
 
 def _summit(
     power: FloatArray, k: NDArray[Any], over: FloatArray, size: int
-) -> tuple[float, NDArray[np.int64]]:
+) -> tuple[float, IntArray]:
     """Climb to the strongest mode that stands out near a wave number; return its power and it."""
     ratio = over.reshape(power.shape)
     best = 0.0, np.rint(k).astype(int)
@@ -297,7 +298,7 @@ def _summit(
 
 
 @cache
-def _rings(window: int) -> list[NDArray[np.int64]]:
+def _rings(window: int) -> list[IntArray]:
     """Return indices in half a spectrum of the searched wave numbers, grouped by magnitude."""
     down, across = np.fft.fftfreq(window)[:, None], np.fft.rfftfreq(window)
     size = np.hypot(down, across).ravel()
@@ -391,7 +392,7 @@ def _profile(
     known: NDArray[np.floating],
     wave: tuple[float, float],
     columns: int = 1,
-) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
+) -> tuple[BoolArray, NDArray[np.floating]]:
     """Mask of ripples, and their log intensity relative to that of flat floor.
 
     `columns` is the axis of the map's columns, as the image may be transposed.
@@ -439,7 +440,7 @@ def _folded(
     return total
 
 
-def _rounded(mask: NDArray[np.bool_], opened: float, closed: float) -> NDArray[np.bool_]:
+def _rounded(mask: BoolArray, opened: float, closed: float) -> BoolArray:
     """Open a mask by a disc, then close it by another, as if it continued beyond its edges."""
     kept = _grown(~_grown(~mask, opened), opened)
     pad = int(np.ceil(closed)) + 1
@@ -447,7 +448,7 @@ def _rounded(mask: NDArray[np.bool_], opened: float, closed: float) -> NDArray[n
     return np.asarray(wide[pad:-pad, pad:-pad])
 
 
-def _grown(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+def _grown(mask: BoolArray, radius: float) -> BoolArray:
     return np.asarray(_discs(mask, radius)) if mask.any() else mask
 
 
@@ -515,7 +516,7 @@ def _bilinear(values, rows, columns):  # type: ignore[no-untyped-def]
     return result
 
 
-def _between(n: int, part: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Single]:
+def _between(n: int, part: slice) -> tuple[IntArray, IntArray, Single]:
     """Averaged pixels before and after each pixel, and the weight of the latter."""
     place = np.clip((np.arange(part.start, part.stop) + 0.5) / COARSE - 0.5, 0, n - 1)
     before = place.astype(int)

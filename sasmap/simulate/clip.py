@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from affine import Affine
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples.clip import Clip
 from sasmap.simulate.geometry import track_line
 from sasmap.simulate.image import record
@@ -15,8 +15,6 @@ from sasmap.simulate.laws import Law, PowerLaw
 from sasmap.simulate.profiles import CrestProfile
 from sasmap.simulate.scene import Scene
 from sasmap.simulate.seafloor import SeaFloor
-
-FloatArray = NDArray[np.float64]
 
 
 class SimulatedClip(NamedTuple):

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.simulate.facets import (
     HALO,
     REACH,
@@ -26,9 +26,6 @@ from sasmap.simulate.geometry import StraightTrack, track_line
 from sasmap.simulate.laws import backscatter
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Approximate largest number of facets in a strip; bounds memory (a choice).
 STRIP = 400_000

@@ -14,10 +14,8 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from sasmap.arrays import ComplexArray, FloatArray, IntArray
 
 # Truncation of the point spread function, standard deviations (1e-14 of its power lies beyond).
 REACH = 5.5
@@ -89,9 +87,7 @@ def _gamma(place: np.uint64, nu: float) -> float:
 
 
 @_compiled
-def patch_texture(
-    key: np.uint64, rows: NDArray[np.int64], columns: NDArray[np.int64], nu: float
-) -> FloatArray:
+def patch_texture(key: np.uint64, rows: IntArray, columns: IntArray, nu: float) -> FloatArray:
     """Draw the texture of pixel-sized patches.
 
     Parameters
@@ -229,8 +225,8 @@ def sum_rows(
 def take_pixels(
     field: ComplexArray,
     kernel: FloatArray,
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
+    rows: IntArray,
+    columns: IntArray,
     key: np.uint64,
     first: tuple[int, int],
     noise: float,

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.simulate.scene import Scene, ScenePass
-
-FloatArray = NDArray[np.float64]
 
 
 class View(NamedTuple):

@@ -9,6 +9,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from sasmap.arrays import BoolArray, ComplexArray, FloatArray
 from sasmap.simulate.coherent import coherent_amplitude
 from sasmap.simulate.geometry import StraightTrack, View, track_line
 from sasmap.simulate.scattering import (
@@ -21,8 +22,6 @@ from sasmap.simulate.scattering import (
 )
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor, Waves, in_polygon
-
-FloatArray = NDArray[np.float64]
 
 # Step of the lines of sight over range, pixels (a choice: finer than a pixel resolves).
 SIGHT_STEP = 0.5
@@ -89,9 +88,7 @@ def record(
     return _quantised(field, scene_pass)
 
 
-def _covered(
-    scene: Scene, scene_pass: ScenePass, x: FloatArray, y: FloatArray
-) -> NDArray[np.bool_]:
+def _covered(scene: Scene, scene_pass: ScenePass, x: FloatArray, y: FloatArray) -> BoolArray:
     east, north = x - scene.origin[0], y - scene.origin[1]
     inside = (east >= 0) & (east < scene.size[0]) & (north >= 0) & (north < scene.size[1])
     if scene_pass.area is not None:
@@ -158,7 +155,7 @@ def _shadow(
     phase: FloatArray,
     along_look: FloatArray,
     pixel: float,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     if not (waves.patch >= 0).any():
         return np.zeros(view.along.shape, bool)
     if scene.shadow == "crest":
@@ -229,7 +226,7 @@ def _speckle(
 
 def _complex_noise(
     shape: tuple[int, ...], correlation: float, rng: np.random.Generator
-) -> NDArray[np.complex128]:
+) -> ComplexArray:
     """Circular Gaussian noise of unit mean square, correlated over `correlation` pixels."""
     parts = rng.normal(size=(2, *shape))
     if correlation > 0:

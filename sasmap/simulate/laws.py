@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray
+
 Law = Literal["lambert", "gaussian", "rough", "volume"]
 
 # Rms slope of the roughness of the Kirchhoff peak, and ratio of the peak to the rest at normal

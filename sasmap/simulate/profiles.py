@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray
+
 CrestProfile = Literal["sine", "stokes", "peaked", "asymmetric"]
 # Profiles that the published physics can render.
 PUBLISHED_PROFILES = ("sine", "stokes", "peaked")

@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.ripples.published import SIGMA_VARIANCE
 
-FloatArray = NDArray[np.float64]
 ProfileName = Literal["sine", "stokes", "peaked"]
 
 
@@ -95,7 +95,7 @@ def lit_amplitude(
 
 def shadow_line_of_sight(
     height: ArrayLike, ground_range: ArrayLike, altitude: ArrayLike
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Find the points that a ray from the sonar cannot reach: reference method for any profile.
 
     Parameters
@@ -123,7 +123,7 @@ def shadow_crest_rule(
     altitude: ArrayLike,
     frequency: ArrayLike,
     height: ArrayLike,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Find shadow by the published rule: a straight ray over the preceding crest.
 
     Parameters

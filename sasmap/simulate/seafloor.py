@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.simulate.profiles import crest
 from sasmap.simulate.scene import RipplePatch, Scene
-
-FloatArray = NDArray[np.float64]
 
 # Number of random waves summed to a Gaussian field: its excess kurtosis is -1.5 / WAVES = -0.006.
 WAVES = 256
@@ -38,7 +36,7 @@ class Waves(NamedTuple):
         Index of the ripple patch, -1 for none.
     """
 
-    def where(self, other: Waves, better: NDArray[np.bool_]) -> Waves:
+    def where(self, other: Waves, better: BoolArray) -> Waves:
         """Take the other's waves where a condition holds."""
         return Waves(*(np.where(better, b, a) for a, b in zip(self, other, strict=True)))
 
@@ -46,10 +44,10 @@ class Waves(NamedTuple):
     east: FloatArray
     north: FloatArray
     height: FloatArray
-    patch: NDArray[np.int64]
+    patch: IntArray
 
 
-def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
+def in_polygon(x: FloatArray, y: FloatArray, polygon: FloatArray) -> BoolArray:
     """Find which points lie in a polygon, by the even-odd rule.
 
     Parameters
@@ -135,7 +133,7 @@ class SeaFloor:
         """Polygons of the sediments that have one, (n, 2) map coordinates."""
         return [polygon for polygon in self._sediments if polygon is not None]
 
-    def sediment(self, x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
+    def sediment(self, x: FloatArray, y: FloatArray) -> IntArray:
         """Index of the sediment at map points."""
         index = np.zeros(np.shape(x), np.int64)
         for k, polygon in enumerate(self._sediments):

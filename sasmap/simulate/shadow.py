@@ -12,12 +12,11 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.simulate.profiles import crest
 from sasmap.simulate.scattering import ProfileName
 
-FloatArray = NDArray[np.float64]
 ShadowRule = Literal["line-of-sight", "crest"]
 
 # Largest tabulated steepness 2 pi f A_H (slopes up to 45 degrees).
@@ -119,7 +118,7 @@ def shadow_mask(
     height: float,
     profile: ProfileName,
     rule: ShadowRule,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Find which points of straight ripples are in shadow, from the table.
 
     Parameters

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sasmap.ripples.clip import Clip
 from sasmap.simulate.scattering import ProfileName, lit_amplitude, profile_slope, steepest
 from sasmap.simulate.shadow import ShadowRule, shadow_mask
-
-FloatArray = NDArray[np.float64]
 
 
 def straight_clip(

@@ -15,6 +15,7 @@ import rasterio
 from affine import Affine
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.errors import InputError
 from sasmap.io.files import write_text, written_whole
 from sasmap.io.rasters import Category, Layer, as_bands, float_layer, write_cog
@@ -24,8 +25,6 @@ from sasmap.simulate.geometry import track_line
 from sasmap.simulate.image import NODATA, record
 from sasmap.simulate.scene import Scene, ScenePass
 from sasmap.simulate.seafloor import SeaFloor, Waves
-
-FloatArray = NDArray[np.float64]
 
 # Distance between the pings of simulated navigation, m (a choice; usual for SAS).
 PING_SPACING = 0.5

@@ -19,8 +19,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.survey.display import found_gamma
-from sasmap.survey.lattice import FloatArray
 
 Kind = Literal["linear", "intensity", "db"]
 KINDS: tuple[Kind, ...] = ("linear", "intensity", "db")
@@ -210,7 +210,7 @@ def speckle_of(sample: Sample, least: float = 0.0) -> Speckle:
     )
 
 
-def _together(dark: NDArray[np.bool_]) -> float:
+def _together(dark: BoolArray) -> float:
     """Share of the neighbours of dark pixels that are dark, along rows or columns."""
     count = max(int(dark[:, 1:, 1:].sum()), 1)
     down = int((dark[:, 1:, 1:] & dark[:, :-1, 1:]).sum())

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pyproj
 from affine import Affine
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.errors import InputError
-from sasmap.survey.lattice import FloatArray
 from sasmap.survey.tiles import Tile
 
 # Scale error of a map projection, which is also that of heights and wavelengths: from which it is
@@ -92,12 +91,12 @@ class CellGrid:
             for column in range(max(int(first), 0), min(int(last), self.columns - 1) + 1):
                 yield Cell(row, column)
 
-    def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
+    def holds(self, cell: Cell, x: FloatArray, y: FloatArray) -> BoolArray:
         """Whether map points lie in a cell; with adjacent cells, each lies in exactly one."""
         right, down = (x - self.left) / self.spacing + 1e-9, (self.top - y) / self.spacing + 1e-9
         reach = self.size / self.spacing
         across = (right >= cell.column) & (right < cell.column + reach)
-        inside: NDArray[np.bool_] = across & (down >= cell.row) & (down < cell.row + reach)
+        inside: BoolArray = across & (down >= cell.row) & (down < cell.row + reach)
         return inside
 
     def overlapping(self, spacing: float) -> CellGrid:

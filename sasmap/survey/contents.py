@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 import rasterio
 
+from sasmap.arrays import FloatArray
 from sasmap.survey.amplitude import judge
 from sasmap.survey.fill import find_fill
-from sasmap.survey.lattice import FloatArray, Window
+from sasmap.survey.lattice import Window
 from sasmap.survey.sidecars import unread
 from sasmap.survey.tiles import Tile, open_geotiff, read_numbers
 

@@ -12,9 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sasmap.survey.lattice import FloatArray
+from sasmap.arrays import FloatArray
 
 # Side in pixels of large and small blocks, and the share of the blocks that are used: the narrowest
 # ones, which have the least structure of the sea floor.
@@ -113,7 +112,7 @@ def log_shape(sample: list[FloatArray], side: int, step: float) -> LogShape:
     )
 
 
-def _blocks(piece: FloatArray, side: int, step: float) -> NDArray[np.float64]:
+def _blocks(piece: FloatArray, side: int, step: float) -> FloatArray:
     """Cut a piece into blocks, one row each; dark blocks and those with gaps are left out."""
     rows, columns = (n // side for n in piece.shape)
     cut = piece[: rows * side, : columns * side].reshape(rows, side, columns, side)

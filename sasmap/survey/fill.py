@@ -17,6 +17,7 @@ import rasterio.windows
 import scipy.ndimage
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.survey.lattice import Window
 
 # Side in pixels of the blocks that are tested for one value: small enough for a thin frame.
@@ -70,7 +71,7 @@ class Fill:
     packed: bytes
     area: int
 
-    def near(self, window: Window) -> NDArray[np.bool_]:
+    def near(self, window: Window) -> BoolArray:
         """Pixels of a window that lie in blocks of fill or beside them."""
         bits = np.unpackbits(np.frombuffer(self.packed, np.uint8), count=self.rows * self.columns)
         blocks = bits.reshape(self.rows, self.columns).astype(bool)
@@ -83,8 +84,8 @@ class Fill:
 class _Blocks:
     """Probes of a tile's blocks; each (rows, columns)."""
 
-    value: NDArray[np.float64]  # the first probe's
-    alike: NDArray[np.bool_]  # whether all are equal to it
+    value: FloatArray  # the first probe's
+    alike: BoolArray  # whether all are equal to it
     top: NDArray[np.float32]  # the largest valid one; NaN where none is valid
 
 
@@ -149,9 +150,7 @@ def _black(source: rasterio.DatasetReader, kind: str) -> float:
     return share * float(np.quantile(known, 0.75)) if known.size else -np.inf
 
 
-def _black_border(
-    blocks: _Blocks, known: NDArray[np.bool_], limit: float, shape: tuple[int, int]
-) -> str:
+def _black_border(blocks: _Blocks, known: BoolArray, limit: float, shape: tuple[int, int]) -> str:
     """Describe the share of a tile that is nearly black at its edge, not shadow or water."""
     dark = (blocks.top >= 0) & (blocks.top <= limit) & ~known
     area = _at_edge(dark, shape)
@@ -169,9 +168,7 @@ def _black_border(
     return f"{share:.0%} of it, at its edge, is nearly black, {values.min():g} to {values.max():g}"
 
 
-def _rim(
-    area: NDArray[np.bool_], dark: NDArray[np.bool_], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _rim(area: BoolArray, dark: BoolArray, shape: tuple[int, int]) -> BoolArray:
     """Blocks of an area along the tile's edge, where it is deeper than shadows.
 
     Shadows that cross the edge meet it over a short length each; a shadow along the edge is no
@@ -190,7 +187,7 @@ def _rim(
     return rim
 
 
-def _usual_width(dark: NDArray[np.bool_]) -> float:
+def _usual_width(dark: BoolArray) -> float:
     """Usual length of runs of dark blocks down the columns, among runs inside the tile."""
     # a bright row between columns separates their runs
     column = np.zeros((dark.shape[1], dark.shape[0] + 1), np.int8)
@@ -290,7 +287,7 @@ def _probed(
         return _Blocks(first.astype(float), alike, top)
 
 
-def _edge_values(value: NDArray[np.float64], alike: NDArray[np.bool_]) -> list[float]:
+def _edge_values(value: FloatArray, alike: BoolArray) -> list[float]:
     """Values of the uniform blocks along the edge, the most frequent first."""
     edges = ((value[0], alike[0]), (value[-1], alike[-1]), (value[:, 0], alike[:, 0]),
              (value[:, -1], alike[:, -1]))  # fmt: skip
@@ -300,7 +297,7 @@ def _edge_values(value: NDArray[np.float64], alike: NDArray[np.bool_]) -> list[f
     return [float(values[k]) for k in order if counts[k] > 1]
 
 
-def _at_edge(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+def _at_edge(blocks: BoolArray, shape: tuple[int, int]) -> BoolArray | None:
     """Blocks of areas that are large and extend far along the edge; None without one."""
     label, count = scipy.ndimage.label(blocks)
     if not count:

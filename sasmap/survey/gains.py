@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 
+from sasmap.arrays import FloatArray
 from sasmap.numerics.threads import mapped
-from sasmap.survey.lattice import FloatArray, Window, bounding_window
+from sasmap.survey.lattice import Window, bounding_window
 from sasmap.survey.offsets import offset_between
 from sasmap.survey.tiles import Amplitude, Tile, read_mosaic
 

@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import pyproj
 from affine import Affine
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 # Two lattices are the same where their pixels coincide to this fraction of a pixel (far below any
 # error of georeferencing, far above rounding).

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sasmap.survey.lattice import FloatArray
+from sasmap.arrays import FloatArray
 from sasmap.survey.pings import Pings
 
 # The course is computed over this length to either side, m, and at least this many pings: jitter of

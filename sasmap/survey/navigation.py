@@ -11,16 +11,14 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.errors import InputError
 from sasmap.settings.survey import NavigationColumn
 from sasmap.survey.lattice import transform_points
 from sasmap.survey.lines import find_lines
 from sasmap.survey.pings import ROUNDED, Pings, checked_pings, rounding_of
 from sasmap.survey.tables import Table, read_table
-
-FloatArray = NDArray[np.float64]
 
 WGS84 = "EPSG:4326"
 COLUMNS = ("x", "y", "longitude", "latitude", "altitude")
@@ -54,7 +52,7 @@ class Geometry(NamedTuple):
     distance: FloatArray
     altitude: FloatArray
     look_azimuth: FloatArray
-    starboard: NDArray[np.bool_]
+    starboard: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +113,7 @@ class Track:
         return Geometry(out[0], out[1], out[2], starboard)
 
     @cached_property
-    def _tree(self) -> tuple[NDArray[np.int64], FloatArray]:
+    def _tree(self) -> tuple[IntArray, FloatArray]:
         x, y, _ = self._extended
         ends, deviation = _tree(x, y)
         return ends, deviation
@@ -406,9 +404,7 @@ def _rounded(
     ]
 
 
-def _check_degrees(
-    path: Path, rows: NDArray[np.int64], longitude: FloatArray, latitude: FloatArray
-) -> None:
+def _check_degrees(path: Path, rows: IntArray, longitude: FloatArray, latitude: FloatArray) -> None:
     wrong = np.flatnonzero((np.abs(longitude) > 360) | (np.abs(latitude) > 90))
     if wrong.size:
         row = rows[wrong[0]]

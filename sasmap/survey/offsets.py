@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-FloatArray = NDArray[np.float64]
+from sasmap.arrays import FloatArray
 
 # Correlation of two images of one sea floor, and share of it above which no offset is sought.
 ALIKE, IN_PLACE = 0.6, 0.5

@@ -11,12 +11,11 @@ import numpy as np
 import pyproj
 import shapely
 import xarray as xr
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.survey.cells import Cell, CellGrid
 from sasmap.survey.lattice import (
-    FloatArray,
     Lattice,
     Window,
     bounding_window,
@@ -353,7 +352,7 @@ def _pixel_size(tile: Tile, lattice: Lattice) -> float:
     return float(abs(lattice.transform.a)) if tile.geographic else tile.pixel_size
 
 
-def _span(valid: NDArray[np.bool_]) -> slice:
+def _span(valid: BoolArray) -> slice:
     """Slice from the first to the last valid row or column; at least two, to define the lattice."""
     at = np.flatnonzero(valid)
     first, last = int(at[0]), int(at[-1])

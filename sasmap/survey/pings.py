@@ -14,8 +14,8 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray, IntArray
 from sasmap.errors import InputError
-from sasmap.survey.lattice import FloatArray
 
 # Half-width of the running median, pings: runs of up to five bad pings are outliers of it.
 HALF = 5
@@ -56,12 +56,12 @@ class Pings(NamedTuple):
     """Rows of a navigation file: their numbers in the file, position (m) and altitude (m)."""
 
     path: Path
-    rows: NDArray[np.int64]
+    rows: IntArray
     x: FloatArray
     y: FloatArray
     altitude: FloatArray
 
-    def at(self, pick: slice | NDArray[np.bool_]) -> Pings:
+    def at(self, pick: slice | BoolArray) -> Pings:
         """Select pings."""
         return Pings(self.path, self.rows[pick], self.x[pick], self.y[pick], self.altitude[pick])
 
@@ -190,9 +190,7 @@ def _without_spikes(pings: Pings, warnings: list[str]) -> Pings:
     return pings._replace(x=x, y=y, altitude=altitude)
 
 
-def _mend(
-    values: Sequence[FloatArray], bad: NDArray[np.bool_], told: str, warnings: list[str]
-) -> None:
+def _mend(values: Sequence[FloatArray], bad: BoolArray, told: str, warnings: list[str]) -> None:
     """Interpolate bad numbers in place, or refuse them where there are too many."""
     if bad.sum() > MOST_BAD * bad.size:
         raise InputError(f"{told}: {bad.sum()} of {bad.size} pings are like that: correct the file")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.ripples.clip import Clip
 from sasmap.ripples.image import lattice
 from sasmap.survey.cells import Cell, CellGrid
@@ -14,7 +15,7 @@ STRAIGHT = 0.05
 
 
 def on_cell(
-    clip: Clip, model: NDArray[np.float64], grid: CellGrid, cell: Cell, window: int
+    clip: Clip, model: FloatArray, grid: CellGrid, cell: Cell, window: int
 ) -> NDArray[np.float32]:
     """Resample values on a clip's lattice to the pixels of its cell by nearest neighbour.
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sasmap.arrays import FloatArray
 from sasmap.errors import InputError, check_file
-from sasmap.survey.lattice import FloatArray
 
 # Largest table that is read, bytes: about ten million pings.
 MAX_BYTES = 2**29

@@ -23,6 +23,7 @@ import tifffile
 from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError  # GDAL's errors, which rasterio lets through in places
 
+from sasmap.arrays import FloatArray
 from sasmap.errors import InputError
 from sasmap.settings.survey import expanded
 from sasmap.survey.amplitude import Kind, to_linear
@@ -38,7 +39,7 @@ TIFF_ENDINGS = (".tif", ".tiff")
 # TIFF's PlanarConfiguration for separate bands.
 SEPARATE = 2
 
-Amplitude = NDArray[np.float32] | NDArray[np.float64]
+Amplitude = NDArray[np.float32] | FloatArray
 
 # Sidecar files (overviews, auxiliary XML) are never read: a hostile one can make GDAL access the
 # network.
@@ -97,7 +98,7 @@ class Tile:
             return _longer_side(self)
         return float(abs(self.lattice.transform.determinant) ** 0.5 * unit)
 
-    def outline_in(self, crs: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def outline_in(self, crs: str) -> tuple[FloatArray, FloatArray]:
         """Return points of the tile's edge in another CRS."""
         return _outline_in(self, crs)
 
@@ -121,7 +122,7 @@ def _longer_side(tile: Tile) -> float:
 
 
 @lru_cache(maxsize=100_000)
-def _outline_in(tile: Tile, crs: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _outline_in(tile: Tile, crs: str) -> tuple[FloatArray, FloatArray]:
     x, y = outline(tile.window, tile.lattice)
     return transform_points(tile.lattice.crs, crs, x, y)
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.errors import InputError
 from sasmap.survey.contents import sample_windows
-from sasmap.survey.lattice import FloatArray, Window, transform_points
+from sasmap.survey.lattice import Window, transform_points
 from sasmap.survey.navigation import MIN_GRAZING, WGS84
 from sasmap.survey.passes import SonarPass, view
 from sasmap.survey.tiles import Tile, read_tile
@@ -41,8 +41,8 @@ class _Sight(NamedTuple):
     """Visibility of a tile's points from a line."""
 
     grazing: FloatArray
-    wanted: NDArray[np.bool_]  # on a side that the pass shows
-    abeam: NDArray[np.bool_]
+    wanted: BoolArray  # on a side that the pass shows
+    abeam: BoolArray
 
 
 def _sight(sonar_pass: SonarPass, tile: Tile, crs: str) -> _Sight:
@@ -127,7 +127,7 @@ def assign_tiles(
     ]
 
 
-def _able(masks: list[NDArray[np.bool_]]) -> list[int]:
+def _able(masks: list[BoolArray]) -> list[int]:
     """Find the lines that saw about as much as the best one."""
     counts = [int(mask.sum()) for mask in masks]
     return [k for k, count in enumerate(counts) if count and count >= SHARE * max(counts)]

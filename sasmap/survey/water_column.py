@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import BoolArray, FloatArray
 from sasmap.survey.contents import sample_windows
-from sasmap.survey.lattice import FloatArray, Window, transform_points
+from sasmap.survey.lattice import Window, transform_points
 from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
 
@@ -218,7 +218,7 @@ def _box(sonar_pass: SonarPass, tile: Tile, crs: str) -> Window:
 
 def _is_near(
     sonar_pass: SonarPass, tile: Tile, crs: str, rows: FloatArray, columns: FloatArray
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Whether points at some rows and columns of a tile lie near the track."""
     t = tile.lattice.transform
     x = t.c + t.a * columns + t.b * rows[:, None]

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 import scipy.ndimage
-from numpy.typing import NDArray
 
-from sasmap.survey.lattice import FloatArray, Window, transform_points
+from sasmap.arrays import ComplexArray, FloatArray
+from sasmap.survey.lattice import Window, transform_points
 from sasmap.survey.passes import SonarPass
 from sasmap.survey.tiles import Tile, read_tile
 from sasmap.survey.water_column import LARGEST
@@ -165,7 +165,7 @@ def _bent(
     )
 
 
-def _coherence(field: NDArray[np.complex128]) -> float:
+def _coherence(field: ComplexArray) -> float:
     """Share of a field that the best plane wave explains."""
     shape = tuple(4 * n for n in field.shape)
     return float(np.abs(scipy.fft.fft2(field, shape)).max() / np.abs(field).sum())
@@ -173,7 +173,7 @@ def _coherence(field: NDArray[np.complex128]) -> float:
 
 def _waves(
     tile: Tile, window: Window
-) -> tuple[NDArray[np.complex128], FloatArray, FloatArray, FloatArray] | None:
+) -> tuple[ComplexArray, FloatArray, FloatArray, FloatArray] | None:
     """Demodulate the ripples of a window; None without any.
 
     Returns

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from sasmap.survey.lattice import FloatArray
+from sasmap.arrays import FloatArray, IntArray
 
 # Pings and samples over which the logarithm of amplitude is averaged: this reduces speckle but
 # keeps the step from water to floor.
@@ -63,7 +63,7 @@ def _logarithm(samples: NDArray[np.generic]) -> FloatArray:
     return np.asarray(np.log1p(values / floor), float)
 
 
-def _onset(level: FloatArray, path: NDArray[np.int64], first: int) -> NDArray[np.int64]:
+def _onset(level: FloatArray, path: IntArray, first: int) -> IntArray:
     """Last sample before the step that is close to the level of the water column."""
     onset = path.copy()
     for k, step in enumerate(path):
@@ -90,7 +90,7 @@ def _water(level: FloatArray, first: int, step: int) -> FloatArray:
     return np.asarray(far + slope * np.maximum(place - middle[1], 0.0), float)
 
 
-def _best_path(score: FloatArray) -> NDArray[np.int64]:
+def _best_path(score: FloatArray) -> IntArray:
     """Column of each row with the largest sum of scores and short steps."""
     pings, places = score.shape
     total = score[0]

@@ -10,8 +10,8 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.errors import InputError, check_file
-from sasmap.survey.lattice import FloatArray
 
 # Largest recording that is read, bytes: all of its pings are held in memory.
 MAX_BYTES = 2**34
@@ -55,7 +55,7 @@ class Recording:
     latitude: FloatArray
     altitude: FloatArray
     pitch: FloatArray
-    number: NDArray[np.int64]
+    number: IntArray
     samples: dict[str, NDArray[Any]]
     spacing: FloatArray
     ground: bool

@@ -15,10 +15,10 @@ from affine import Affine
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sasmap.arrays import FloatArray, IntArray
 from sasmap.errors import InputError
 from sasmap.io.files import write_text, written_whole
 from sasmap.settings.yamlfile import dump_yaml
-from sasmap.survey.lattice import FloatArray
 from sasmap.survey.lines import find_lines
 from sasmap.survey.navigation import Track
 from sasmap.survey.pings import Pings
@@ -53,7 +53,7 @@ class SurveyLine(NamedTuple):
 
     name: str
     pings: Pings
-    places: NDArray[np.int64]
+    places: IntArray
 
 
 def make_tiles(

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.interpolate
 import scipy.ndimage
 
-from sasmap.survey.lattice import FloatArray
+from sasmap.arrays import FloatArray
 from sasmap.survey.pings import Pings, checked_pings
 
 # Spacing of the knots of the cubic spline, m: vehicles turn more slowly, and fixes scatter by

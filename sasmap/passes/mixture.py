@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from sasmap.arrays import FloatArray
 from sasmap.numerics.gaussians import Mixture, fitted_mixture
-
-FloatArray = NDArray[np.float64]
 
 # Most components.
 MOST = 3

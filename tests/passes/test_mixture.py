@@ -3,7 +3,7 @@ import pytest
 from scipy import stats
 
 from sasmap.numerics.gaussians import Mixture
-from sasmap.ripples.mixture import fit_mixture, marginals
+from sasmap.passes.mixture import fit_mixture, marginals
 
 ONE = Mixture(np.ones(1), np.array([[0.6, 0.07, 90.0]]), np.diag([1e-3, 2e-3, 0.5])[None] ** 2)
 
