@@ -3,12 +3,14 @@ import re
 import shutil
 from datetime import UTC, datetime
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import pyproj
 import pytest
 
 import sasmap
-from sasmap.run.answers import summary_lines
+from sasmap.ripples.posterior import Quality
+from sasmap.run.answers import ripple_words, summary_lines
 from sasmap.run.pipeline import run_survey
 from tests.conftest import SAMPLE
 from tests.helpers import small_survey, with_pass
@@ -74,6 +76,14 @@ def test_a_survey_without_ripples_or_sediments_shows_what_there_is(tmp_path):
     parts = parts_of(tmp_path / "out" / "report.html")
     assert parts.links == ["answer", "survey", "ripples", "run"]
     assert any("6 no ripples" in line for line in summary_lines(outcome))
+
+
+def test_words_say_that_passes_contradict_each_other():
+    found = (Quality.CONTRADICTION, Quality.NO_RIPPLES, Quality.CONTRADICTION)
+    outcome = SimpleNamespace(fused={i: SimpleNamespace(quality=q) for i, q in enumerate(found)})
+    assert "in 2 of them the passes contradict each other" in ripple_words(outcome)
+    del outcome.fused[0], outcome.fused[2]
+    assert ripple_words(outcome) == "No cell has ripples with a converged estimate."
 
 
 def test_stac_item_finds_the_survey(sample):
