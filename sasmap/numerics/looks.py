@@ -138,7 +138,10 @@ def point_spread(ratio: FloatArray) -> FloatArray:
 def _correlation(flat: FloatArray, used: BoolArray, column: int, row: int) -> float:
     """Correlation of used pixels of mean 0 with those `column` and `row` (of any sign) farther."""
     rows, columns = flat.shape
-    here = slice(max(-row, 0), rows - max(row, 0)), slice(0, columns - column)
+    here = (
+        slice(max(-row, 0), max(rows - max(row, 0), 0)),
+        slice(0, max(columns - column, 0)),
+    )
     there = slice(max(row, 0), rows - max(-row, 0)), slice(column, columns)
     both = max(int((used[here] & used[there]).sum()), 1)
     product = float((flat[here] * flat[there]).sum()) / both

@@ -33,6 +33,8 @@ def test_independent_pixels_have_little_blur():
     rng = np.random.default_rng(2)
     assert np.sqrt(point_spread(rng.exponential(size=(300, 300))).max()) < 0.25
     assert not point_spread(np.ones((30, 30))).any()
+    assert np.isfinite(point_spread(rng.exponential(size=(3, 200)))).all()
+    assert np.isfinite(point_spread(rng.exponential(size=(200, 2)))).all()
 
 
 @pytest.mark.parametrize("long", [15.0, 60.0])
