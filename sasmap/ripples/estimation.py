@@ -440,11 +440,16 @@ def _slopes(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray, float
 
 
 def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:
-    """Quality of a sampled clip."""
+    """Quality of a sampled clip.
+
+    `done` says that the chains converged; beside errors added to their draws it may suffice that
+    these have.
+    """
     along = np.abs(np.cos(np.radians(draws["azimuth"].values - image.azimuth)))
     if np.quantile(along, 0.05) < MIN_ALONG:
         return Quality.NOT_IDENTIFIABLE
-    return Quality.GOOD if done else Quality.NOT_CONVERGED
+    sure = done or converged(draws["height"].values)
+    return Quality.GOOD if sure else Quality.NOT_CONVERGED
 
 
 def _left_out(fit: Fit) -> LeftOut:

@@ -9,7 +9,7 @@ import xarray as xr
 from sasmap.ripples import Clip, Prior, RippleSettings, estimate, estimation
 from sasmap.ripples.errors import LAW_ERROR, THIRD_HARMONIC, slope_error, weighed, with_errors
 from sasmap.ripples.optimise import OFFSET, PHASE, fisher_scoring
-from sasmap.ripples.posterior import LeftOut, Quality
+from sasmap.ripples.posterior import LeftOut, Quality, dataset
 from sasmap.ripples.rendering import Parameters, line_of_lags, parameters_at, pulses_of
 from tests.helpers import clip_of, zare_cobb_clip
 from tests.ripples.engine import BINS, coherent, fit_of, noiseless
@@ -403,3 +403,16 @@ def test_a_point_spread_of_several_pixels_does_not_lower_height(turn):
     assert low < 0.02 < high
     assert abs(float(posterior.mean.height) / 0.02 - 1) < 0.25
     assert float(posterior.sd.height) < 0.3 * 0.02
+
+
+def test_errors_added_to_draws_may_outweigh_what_chains_leave_open():
+    rng = np.random.default_rng(1)
+    image, azimuth = SimpleNamespace(azimuth=90.0), np.full((4, 1000), 95.0)
+    open_ = rng.normal(size=(4, 1000)) + 0.5 * np.arange(4)[:, None]
+    for height, quality in (
+        (open_, Quality.NOT_CONVERGED),
+        (open_ + 20 * rng.normal(size=open_.shape), Quality.GOOD),
+    ):
+        draws = dataset({"height": height, "azimuth": azimuth})
+        assert estimation._judged(draws, False, image) is quality
+        assert estimation._judged(draws, True, image) is Quality.GOOD
