@@ -685,7 +685,7 @@ def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-unt
     """Fill the expected pulse of each bin, at the mean phase and range of its pixels.
 
     Pulses are interpolated between blocks. `closed` holds each block's pulse followed by its first
-    two bins again, `shifts` its shift in cycles.
+    two bins again, `shifts` the image's phase and the lag there, cycles.
     """
     blocks, bins = means.shape
     reach = data.ground_range
@@ -697,7 +697,7 @@ def fill_means(data, closed, shifts, wave_offset, means):  # type: ignore[no-unt
         nearer, farther = closed[before], closed[after]
         for i in range(bins):
             off = data.range_offset[b, i]
-            phase = i / bins + data.phase_offset[b, i] + wave_offset * off
+            phase = i / bins + data.phase_offset[b, i] + wave_offset * (data.place[b] + off)
             here = pulse_at(closed[b], phase + shifts[b])
             other = after if off > 0.0 else before
             apart = reach[other] - reach[b]
@@ -762,7 +762,7 @@ def fill_shown(ripple, data, geometry, pulses, lags, means, gains):  # type: ign
     floors, shifts = np.empty(blocks), np.empty(blocks)
     closed = np.empty((blocks, bins + 2))
     for b in range(blocks):
-        shifts[b] = (ripple.phase + lags[b]) / (2.0 * np.pi) + ripple.wave_offset * data.place[b]
+        shifts[b] = (ripple.phase + lags[b]) / (2.0 * np.pi)
         closed[b, :bins], closed[b, bins:] = pulses[b], pulses[b, :2]
         ratio = data.ground_range[b] / geometry.range_middle
         floors[b] = ripple.noise * ratio**ripple.noise_slope / data.trend[b]
