@@ -21,7 +21,7 @@ BESIDE = 0.8
 # Relative intensity above which speckle is clipped (exponential speckle exceeds it in 6e-6).
 CLIP = 12.0
 # Distance in pixels at which what remains of the correlation is texture, no speckle: point spread
-# functions of up to three pixels do not reach it.
+# functions of up to two pixels do not reach it (of wider ones up to 3.4 are measured).
 TEXTURED = 6
 # Bounds of the correlation of speckle between neighbouring pixels.
 CORRELATION = (1e-3, 0.97)

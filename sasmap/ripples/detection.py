@@ -295,7 +295,7 @@ def _rivals(
     beside: bool,
 ) -> Iterator[float]:
     """Log odds of a peak against alternative explanations, the fastest tests first."""
-    contrast = contrast_of(*places, peak.per_pixel) * peak.above**3  # no texture or relief
+    contrast = contrast_of(*places, peak.per_pixel) * peak.above**1.5  # no texture or relief
     strong = STRENGTH * _ramp(contrast, *STRONG) * _ramp(-peak.waves, *MANY)
     if strong > 0:
         strong *= _ramp(1 / (np.hypot(*peak.per_pixel) * grain_of(flat, image.valid)), *GRAINS)

@@ -414,8 +414,9 @@ def _slopes(points: FloatArray, fit: Fit) -> tuple[FloatArray, FloatArray, float
     Notes
     -----
     Errors of law and profile turn the image's phase as well; with straight crests the image tells
-    them together with its wave number. Errors that all ranges share widen what is left of the
-    latter if these are known, though they do not tilt the phase: the fit's tilt takes its place.
+    them together with its wave number. `added` is the variance of their sum without that of the
+    wave number given the errors, for which the fit's tilt is taken: errors that all ranges share
+    would widen it, though they do not tilt the phase.
     """
     turned, joint = turned_by_errors(fit), fit
     added = float(turned @ turned)
@@ -448,7 +449,8 @@ def _judged(draws: xr.Dataset, done: bool, image: Image) -> Quality:
     along = np.abs(np.cos(np.radians(draws["azimuth"].values - image.azimuth)))
     if np.quantile(along, 0.05) < MIN_ALONG:
         return Quality.NOT_IDENTIFIABLE
-    sure = done or converged(draws["height"].values)
+    height = draws["height"].values
+    sure = done or (np.ptp(height) > 0 and converged(height))  # all may lie at a bound
     return Quality.GOOD if sure else Quality.NOT_CONVERGED
 
 

@@ -97,7 +97,7 @@ class Parameters(NamedTuple):
     noise, noise_slope : float
         Noise floor over the clip's mean intensity at mean range, and its power of range.
     blur : float
-        Standard deviation of the image's blur along the look, cycles.
+        Standard deviation of the image's blur along the crest normal, cycles.
     altitude_scale : float
         True altitude over the altitude from the navigation.
     trend_1, trend_2, trend_3 : float

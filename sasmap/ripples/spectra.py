@@ -46,9 +46,12 @@ MIN_PART, MIN_HALF = 80, 60
 # is smooth enough for more); largest ratio of power that counts.
 REFERENCE, MOST_BINS, MOST = 2.0, 12.0, 300.0
 # Anisotropy of the spectrum that grain causes without ripples; assumed ratio of power to that at
-# shorter wavelengths where there are none to compare with; squared sine of the angle between normal
-# and look above which relief does not show (18 degrees from the crossing of the two).
-UNEVEN, NO_SHORTER, ACROSS = 1.3, 2.5, 0.9
+# shorter wavelengths where there are none to compare with.
+UNEVEN, NO_SHORTER = 1.3, 2.5
+# Squared cosine of the angle between normal and look below which relief hardly shows; least number
+# of wavelengths along the look that the means of pings leave; least difference of the squared
+# cosines that are compared.
+ACROSS, TURNED, LEAST_RISE = 0.2, 1.5, 0.2
 # Cap on the evidence against an alternative, above that against the best alternative, nats.
 HEADWAY = 5.0
 # Bins around a narrow peak that give its background level, and log of the number of bins that it is
@@ -186,21 +189,33 @@ def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
 
 
 def _relief(
-    total: FloatArray, count: FloatArray, aside: FloatArray, look: FloatArray
+    total: FloatArray,
+    count: FloatArray,
+    aside: FloatArray,
+    look: FloatArray,
+    shape: tuple[int, int],
 ) -> FloatArray:
     """Power of relief that has no direction, from that at other directions (`aside`).
 
     Seen from the side, slopes towards the sonar show and slopes across the look do not: above the
-    speckle, which is all that is left across it, power follows the squared cosine of the angle
-    between normal and look (`look` in pixels: columns, rows).
+    speckle, power follows the squared cosine of the angle between normal and look (`look` in
+    pixels: columns, rows). It is compared with the power nearly across the look, but for waves that
+    hardly turn along it, of which the means of pings have taken the power.
     """
     turn = np.arctan2(look[1], look[0]) - np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-    shown, across = np.cos(turn) ** 2, np.sin(turn) ** 2 > ACROSS
-    soft = _ladder(len(count), _SOFT)
-    held = [(soft @ v)[..., across].sum(axis=-1, keepdims=True) for v in (total, count)]
-    speckle = np.minimum(_mean(held[0], held[1]), aside)
+    shown = np.cos(turn) ** 2
+    extent = float(np.abs(look) @ shape[::-1]) / float(np.hypot(*look))
+    waves = (
+        extent / MIN_PIXELS / 2 ** (np.arange(len(count)) / OCTAVE)[:, None] * np.abs(np.cos(turn))
+    )
+    used, soft = (shown < ACROSS) & (waves > TURNED), _ladder(len(count), _SOFT)
+    power, bins, seen = (
+        (soft @ (v * used)).sum(axis=-1, keepdims=True) for v in (total, count, count * shown)
+    )
     there = _mean((count * shown) @ _ring(_ASIDE), count @ _ring(_ASIDE))
-    return np.asarray(speckle + (aside - speckle) * shown / np.maximum(there, 1e-3))
+    dark, level = _mean(seen, bins), np.minimum(_mean(power, bins), aside)
+    rise = (aside - level) / np.maximum(there - dark, LEAST_RISE)
+    return np.asarray(np.where(bins > 0, level + rise * (shown - dark), aside))
 
 
 def _table(
@@ -237,7 +252,7 @@ def _table(
     level = _mean(soft @ total @ _ring(_SOFT), around)
     aside = _mean(total @ _ring(_ASIDE), count @ _ring(_ASIDE))
     near, near_count = total @ _ring(_NEAR), count @ _ring(_NEAR)
-    aside = np.maximum(aside * UNEVEN, _relief(total, count, aside, look))
+    expected = np.maximum(aside * UNEVEN, _relief(total, count, aside, look, shape))
     longer, shorter = (
         _mean(_ladder(lengths, steps) @ near, _ladder(lengths, steps) @ near_count)
         for steps in (_all(*LONGER), _all(*SHORTER))
@@ -245,7 +260,7 @@ def _table(
     return Table(
         level,
         np.broadcast_to(bins, total.shape),
-        aside,
+        expected,
         longer if known is None else np.where(longer > 0, longer, aside),
         shorter,
         _highest_around(highest),
@@ -270,7 +285,7 @@ class Peak(NamedTuple):
         Its mean power (white noise has its variance) times its number of independent bins, times
         the part's share of the clip.
     above : float
-        Share of its power above the level in other directions.
+        Share of its power above that expected from other directions.
     part : tuple of slice
         Rows and columns of the part.
     """

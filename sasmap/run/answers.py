@@ -82,7 +82,7 @@ def ripple_words(outcome: Outcome) -> str:
     good = _good(outcome)
     if not good:
         apart = sum(c.quality is Quality.CONTRADICTION for c in outcome.fused.values())
-        why = f": in {apart} of them the passes contradict each other" if apart else ""
+        why = f": in {apart} cells the passes contradict each other" if apart else ""
         return f"No cell has ripples with a converged estimate{why}."
     names = (("wavelength", "wavelength"), ("height (crest to trough)", "crest_to_trough"))
     parts = [f"{text} {_typical(text, _table(good, name)).value}" for text, name in names]

@@ -81,7 +81,7 @@ def test_a_survey_without_ripples_or_sediments_shows_what_there_is(tmp_path):
 def test_words_say_that_passes_contradict_each_other():
     found = (Quality.CONTRADICTION, Quality.NO_RIPPLES, Quality.CONTRADICTION)
     outcome = SimpleNamespace(fused={i: SimpleNamespace(quality=q) for i, q in enumerate(found)})
-    assert "in 2 of them the passes contradict each other" in ripple_words(outcome)
+    assert "in 2 cells the passes contradict each other" in ripple_words(outcome)
     del outcome.fused[0], outcome.fused[2]
     assert ripple_words(outcome) == "No cell has ripples with a converged estimate."
 
