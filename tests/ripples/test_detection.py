@@ -74,13 +74,13 @@ def test_directed_blotches_are_seldom_ripples():
 
 @pytest.mark.parametrize("heading", [0, 1])
 def test_relief_without_a_direction_is_seldom_ripples(heading):
-    """Slopes across the look do not show: 18 of 20 passed when that was left out of account."""
+    """Slopes across the look do not show: 17 of 20 passed when that was left out of account."""
     sure = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
         height = gaussian_filter(rng.normal(size=(256, 256)), rng.uniform(2, 5), mode="wrap")
         slope = np.gradient(height, axis=1)
-        slope *= rng.uniform(0.1, 0.35) / slope.std()
+        slope *= rng.uniform(0.05, 0.15) / slope.std()
         power = np.maximum(np.sin(np.arctan2(6, 33) + np.arctan(slope)), 0.0) ** 2
         clip = image(power / power.mean() + 0.02, seed)
         if heading:  # the same floor on a map that is turned a quarter
@@ -89,7 +89,7 @@ def test_relief_without_a_direction_is_seldom_ripples(heading):
             turned["look_azimuth"] = turned["look_azimuth"] - 90
             clip = replace(clip, **turned)
         sure += found_in(clip).probability > 0.5
-    assert sure <= 12
+    assert sure <= 10
 
 
 def test_what_is_found_is_estimated():
