@@ -120,11 +120,10 @@ def point_spread(ratio: FloatArray) -> FloatArray:
     used = ratio > 0
     flat = np.minimum(ratio / ratio[used].mean(), CLIP)
     flat = np.where(used, flat - flat[used].mean(), 0.0)
-    texture = max(
-        min(_correlation(flat, used, *far) for far in ((TEXTURED, 0), (0, TEXTURED))), 0.0
-    )
-    steps = (1, 0), (0, 1), (1, 1), (1, -1)
-    near = np.array([_correlation(flat, used, *step) for step in steps])
+    steps = (1, 0), (0, 1), (1, 1), (1, -1), (TEXTURED, 0), (0, TEXTURED)
+    variance = max(_covariance(flat, used, 0, 0), 1e-300)
+    correlation = np.array([_covariance(flat, used, *step) for step in steps]) / variance
+    near, texture = correlation[:4], max(correlation[4:].min(), 0.0)
     if near[:2].max() < CORRELATION[0]:
         return np.zeros((2, 2))
     speckle = np.clip((near - texture) / (1.0 - texture), *CORRELATION)
@@ -135,8 +134,8 @@ def point_spread(ratio: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.linalg.inv(np.array([[column, cross], [cross, row]])))
 
 
-def _correlation(flat: FloatArray, used: BoolArray, column: int, row: int) -> float:
-    """Correlation of used pixels of mean 0 with those `column` and `row` (of any sign) farther."""
+def _covariance(flat: FloatArray, used: BoolArray, column: int, row: int) -> float:
+    """Covariance of used pixels of mean 0 with those `column` and `row` (of any sign) farther."""
     rows, columns = flat.shape
     here = (
         slice(max(-row, 0), max(rows - max(row, 0), 0)),
@@ -144,5 +143,4 @@ def _correlation(flat: FloatArray, used: BoolArray, column: int, row: int) -> fl
     )
     there = slice(max(row, 0), rows - max(-row, 0)), slice(column, columns)
     both = max(int((used[here] & used[there]).sum()), 1)
-    product = float((flat[here] * flat[there]).sum()) / both
-    return product / max(float((flat**2).sum()) / max(int(used.sum()), 1), 1e-300)
+    return float((flat[here] * flat[there]).sum()) / both

@@ -184,7 +184,7 @@ def rewaved(image: Image, boxes: BoxSums, wave: FloatArray) -> BoxSums:
     wave : ndarray (2,)
         Wave vector (east, north), cycles/m, whose phase differs little over a box.
     """
-    along, across = (image.project(v, boxes.size) for v in (image.look, image.beside))
+    along, across = image.places(boxes.size)
     change = wave - boxes.wave
     turn = np.exp(-2j * np.pi * (change @ image.look * along + change @ image.beside * across))
     return replace(boxes, wave=wave, turned=boxes.turned * turn)
@@ -242,7 +242,7 @@ def _local_trend(
 
 def refined_wave(image: Image, boxes: BoxSums, weight: BoolArray) -> FloatArray:
     """Wave vector (east, north), cycles/m, at which the demodulated clip is most coherent."""
-    along, across = (image.project(v, boxes.size) for v in (image.look, image.beside))
+    along, across = image.places(boxes.size)
     place = np.stack([along[weight], across[weight]])
     values = boxes.turned[weight]
     spread = place.std(axis=1) + 1e-9

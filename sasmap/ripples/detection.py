@@ -182,10 +182,11 @@ def find_waves(image: Image, bounds: tuple[float, float]) -> Found:
         Frequencies to search, cycles/m.
     """
     flat, gains = flattened(image)
-    peaks = clip_peaks(flat, image.valid, image.look @ image.steps)
+    peaks = clip_peaks(flat, image.valid, image.per_pixel(image.look))
     peaks = sorted((p for p in peaks if _within(image, p, bounds)), key=lambda p: -p.evidence)
-    seen = [p for p in peaks if _along_look(image, p) > MIN_ALONG][:CANDIDATES]
-    along = [p for p in peaks if _along_look(image, p) <= MIN_ALONG][:CANDIDATES]
+    cosines = [_along_look(image, p) for p in peaks]
+    seen = [p for p, c in zip(peaks, cosines, strict=True) if c > MIN_ALONG][:CANDIDATES]
+    along = [p for p, c in zip(peaks, cosines, strict=True) if c <= MIN_ALONG][:CANDIDATES]
     waves = _judged(image, flat, seen)
     if waves and waves[0].evidence > 0:
         first = max((w for w in waves if w.evidence > 0), key=lambda w: w.energy)
@@ -226,7 +227,7 @@ def _given(
     """Find waves beside a known one (cycles per column and row) of another system."""
     told = (
         _wave(image, flat, p, beside=True)
-        for p in other_peaks(flat, image.valid, image.look @ image.steps, known)[:CANDIDATES]
+        for p in other_peaks(flat, image.valid, image.per_pixel(image.look), known)[:CANDIDATES]
         if _within(image, p, bounds)
         and _along_look(image, p) > MIN_ALONG
         and not _overtone(p.per_pixel, known)

@@ -188,8 +188,8 @@ def _expected_blur(image: Image, phase: PhaseField, spread: FloatArray) -> float
     return float(np.hypot(np.sqrt(variance), phase.error / (2 * np.pi)))
 
 
-def _relative(image: Image, used: BoolArray, model: FloatArray) -> FloatArray:
-    """Intensity over a modelled one where that is no shadow, 0 elsewhere."""
+def _speckle(image: Image, used: BoolArray, model: FloatArray) -> FloatArray:
+    """Return the intensity over a modelled one where that is no shadow, 0 elsewhere."""
     lit = used & (model > DARK)
     return np.where(lit, (image.power + DYNAMIC_RANGE) / np.where(lit, model, 1.0), 0.0)
 
@@ -211,13 +211,13 @@ def refined(task: Task, fit: Fit) -> Fit:
         fit = fit._replace(trend=fit.trend * overall)
         model = painted(image, fit, used, means)
         trend = fit.trend * local_ratio(image, phase.wave, phase.box, used, model)
-        blur = _expected_blur(image, phase, point_spread(_relative(image, used, model)))
+        blur = _expected_blur(image, phase, point_spread(_speckle(image, used, model)))
         fit = fit._replace(geometry=fit.geometry._replace(expected_blur=blur))
         fit = turned(image, fit._replace(trend=trend), across_look(image, fit, fit.data, used)[0])
         whole = histogram(image, trend, fit.phase, fit.geometry.published)
         fit = reoptimised(fit, without_local_light(whole), fit.geometry, TREND_CLIMB)
     model = painted(image, fit, used, expected_at(fit, fit.z)[0])
-    factor = noise_factor(_relative(image, used, model), image.per_pixel(phase.wave))
+    factor = noise_factor(_speckle(image, used, model), image.per_pixel(phase.wave))
     fit = fit._replace(noise_factor=factor, explained=explained(fit))
     for _ in range(ERROR_ROUNDS):
         fit = reweighted(fit, whole, image.pixel_size)

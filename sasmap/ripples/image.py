@@ -83,8 +83,12 @@ class Image:
         row, column = (
             (np.arange(-(-n // size)) + 0.5) * size - 0.5 - (n - 1) / 2 for n in self.shape
         )
-        per_column, per_row = direction @ self.steps
+        per_column, per_row = self.per_pixel(direction)
         return np.asarray(per_column * column + per_row * row[:, None])
+
+    def places(self, size: int = 1) -> tuple[FloatArray, FloatArray]:
+        """Distances along and across the look, as :meth:`project` gives them, m."""
+        return self.project(self.look, size), self.project(self.beside, size)
 
     @cached_property
     def mean_range(self) -> float:

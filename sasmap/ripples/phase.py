@@ -130,7 +130,7 @@ def straight(image: Image, boxes: BoxSums) -> PhaseField:
     """
     covered = covered_boxes(image, boxes)
     one = np.ones(boxes.count.shape, complex)
-    along, across = (image.project(v, boxes.size) for v in (image.look, image.beside))
+    along, across = image.places(boxes.size)
     total = np.where(covered, boxes.turned, 0).sum()
     return PhaseField(
         boxes.wave,

@@ -35,10 +35,10 @@ class Quality(IntEnum):
     @property
     def label(self) -> str:
         """Human-readable name."""
-        return LABELS.get(self, self.name.lower().replace("_", " "))
+        return _LABELS.get(self, self.name.lower().replace("_", " "))
 
 
-LABELS = {
+_LABELS = {
     Quality.CONTRADICTION: "passes contradict each other",
     Quality.TOO_FEW_PIXELS: "too few valid pixels",
 }

@@ -30,7 +30,7 @@ def across_look(image: Image, fit: Fit, whole: Histogram, used: BoolArray) -> tu
     slope, weight = per_cycle(fit), _weight(fit, whole)
     residual = _relative(image, fit, means, used)
     pull = residual * spread_bins(image, fit, used, weight * slope)[used]
-    x, y = (image.project(v)[used] for v in (image.look, image.beside))
+    x, y = (place[used] for place in image.places())
     x, y = x - x.mean(), y - y.mean()
     y = y - (x @ y) / max(x @ x, 1e-12) * x
     told, square = (pixels * weight * slope**2).sum(), float(np.mean(y**2))

@@ -188,6 +188,11 @@ def _apart(shape: tuple[int, ...], known: FloatArray) -> FloatArray:
     return np.asarray(1.0 - (reached & (direction <= REACH[1])))
 
 
+def _wavelengths(lengths: int) -> FloatArray:
+    """Wavelengths of cells (lengths, 1), pixels."""
+    return np.asarray(MIN_PIXELS * 2 ** (np.arange(lengths) / OCTAVE)[:, None])
+
+
 def _relief(
     total: FloatArray,
     count: FloatArray,
@@ -205,9 +210,7 @@ def _relief(
     turn = np.arctan2(look[1], look[0]) - np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     shown = np.cos(turn) ** 2
     extent = float(np.abs(look) @ shape[::-1]) / float(np.hypot(*look))
-    waves = (
-        extent / MIN_PIXELS / 2 ** (np.arange(len(count)) / OCTAVE)[:, None] * np.abs(np.cos(turn))
-    )
+    waves = extent / _wavelengths(len(count)) * np.abs(np.cos(turn))
     used, soft = (shown < ACROSS) & (waves > TURNED), _ladder(len(count), _SOFT)
     power, bins, seen = (
         (soft @ (v * used)).sum(axis=-1, keepdims=True) for v in (total, count, count * shown)
@@ -344,7 +347,7 @@ def _peaks(
     evidence = _evidence(table)
     lengths, directions = table.level.shape[1:]
     rows, columns = flat[parts[0]].shape
-    wavelength = MIN_PIXELS * 2 ** (np.arange(lengths) / OCTAVE)[:, None]
+    wavelength = _wavelengths(lengths)
     turn = np.arange(directions) * np.pi / directions
     waves = np.hypot(columns * np.cos(turn), rows * np.sin(turn)) / wavelength
     tops = (table.level >= _highest_around(table.level)) & (evidence > WORTH) & ~table.flank
